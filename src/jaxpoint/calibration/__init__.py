@@ -1,0 +1,1 @@
+"""From tracks to a calibration: factorisation, upgrade, adjustment, alignment."""

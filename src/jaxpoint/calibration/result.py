@@ -1,0 +1,78 @@
+"""What a calibration returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.camera.camera import CameraRig
+from jaxpoint.tracks import Tracks
+
+
+class Verdict(IntEnum):
+    """What became of one observation."""
+
+    KEPT = 0
+    HIDDEN = 1  # the camera did not see the light
+    FEW_VIEWS = 2  # fewer than two cameras saw it in this frame: no point to compare with
+    REPROJECTION = 3  # too far from where the other cameras say the light is
+    BEHIND = 4  # its point lies behind the camera
+    UNDECIDED = 5  # the views contradict each other and too few agree to say which is wrong
+
+
+@dataclass(frozen=True)
+class PairTable:
+    """What the cameras share, known before anything is solved."""
+
+    names: tuple[str, ...]
+    seen: Int[np.ndarray, " C"]  # frames in which each camera saw the light
+    shared: Int[np.ndarray, "C C"]  # frames seen by both
+    coverage: Float[np.ndarray, " C"]  # fraction of an 8 x 6 grid of image cells that the light visited
+    inliers: Int[np.ndarray, "C C"] | None = None  # of the shared ones, those that fit the pair's epipolar geometry
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One step of the pipeline, for the report: its name and figures a person can compare."""
+
+    name: str
+    figures: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated rig, the light's path, and what became of every observation.
+
+    Lengths are in the solver's own unit until the result is aligned (`unit` is then "m").
+    """
+
+    rig: CameraRig
+    tracks: Tracks
+    points: Float[np.ndarray, "F 3"]  # the light; zeros where `point_valid` is False
+    point_valid: Bool[np.ndarray, " F"]
+    residuals: Float[np.ndarray, "F C 2"]  # px, projected minus observed; 0 where there is no point or no pixel
+    verdicts: Int[np.ndarray, "F C"]  # values of `Verdict`
+    sigma_px: float  # robust standard deviation of one pixel coordinate
+    converged: bool
+    message: str  # why the solver stopped, in words
+    pairs: PairTable
+    stages: tuple[Stage, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)  # init, adjust, total
+    unit: str = "arbitrary"  # or "m"
+    alignment: Any | None = None  # calibration.alignment.Alignment once aligned
+    camera_covariance: Float[np.ndarray, "D D"] | None = None  # of the free camera parameters, when known
+    seed: int = 0
+
+    @property
+    def kept(self) -> Bool[np.ndarray, "F C"]:
+        """The observations that the calibration believes."""
+        return self.verdicts == Verdict.KEPT
+
+    @property
+    def errors(self) -> Float[np.ndarray, "F C"]:
+        """Length of every residual, px."""
+        return np.linalg.norm(self.residuals, axis=-1)

@@ -1,0 +1,1 @@
+"""How a point of the room becomes a pixel."""

@@ -1,0 +1,1 @@
+"""From images to pixels: detectors on OpenCV and numpy."""

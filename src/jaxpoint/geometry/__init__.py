@@ -1,0 +1,1 @@
+"""Three-dimensional geometry that knows no camera."""

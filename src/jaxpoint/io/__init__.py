@@ -1,0 +1,1 @@
+"""Files to the types of jaxpoint and back."""

@@ -1,0 +1,1 @@
+"""Rooms and recordings whose truth is known."""
