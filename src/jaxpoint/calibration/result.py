@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.camera.camera import CameraRig
 from jaxpoint.tracks import Tracks
+
+if TYPE_CHECKING:
+    from jaxpoint.camera.rig import CameraRig
 
 
 class Verdict(IntEnum):
