@@ -1,12 +1,20 @@
-"""Settings of every command: one dataclass each, at once a TOML file and command-line flags.
+"""Settings of every command: one dataclass each, at once a table of a TOML file and command-line flags.
 
-Plain Python on purpose: `jaxpoint --help` reads this module and must not import jax.
+One file describes a room; every command reads its own table of it (`[detect.led]`, `[calibrate]`, ...), and flags
+override the file. Plain Python on purpose: `jaxpoint --help` reads this module and must not import jax.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import Annotated, Literal
+
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0)]
+Fraction = Annotated[float, Meta(ge=0, le=1)]
+Count = Annotated[int, Meta(ge=0)]
 
 
 @dataclass(frozen=True)
@@ -17,17 +25,17 @@ class LedSettings:
     """`robust`: median/MAD background and a Gaussian fit; `thesis`: mean/std background and template correlation."""
     channel: Literal["auto", "red", "green", "blue", "grey"] = "auto"
     """Colour channel of the light; `auto` takes the one with the strongest light."""
-    led_radius_px: float = 3.0
+    led_radius_px: Positive = 3.0
     """Radius of the light in the image, 2 to 5 px as a rule; larger blobs are rejected."""
-    threshold_fraction: float = 0.8
+    threshold_fraction: Fraction = 0.8
     """Pixels above this fraction of the frame's largest difference belong to the light."""
-    min_deviations: float = 5.0
+    min_deviations: Positive = 5.0
     """The largest difference must exceed this many background deviations."""
-    max_eccentricity: float = 0.8
+    max_eccentricity: Fraction = 0.8
     """Blobs more elongated than this are motion blur."""
-    min_frames: int = 100
+    min_frames: Count = 100
     """Fewest frames from which a background is learnt."""
-    workers: int = 0
+    workers: Count = 0
     """Processes used, one camera each; 0 takes one per core."""
 
 
@@ -37,11 +45,11 @@ class EpipolarSettings:
 
     method: Literal["magsac", "ransac", "lmeds", "8point"] = "magsac"
     """Robust estimator; `ransac` is the thesis's 7-point RANSAC with a fixed threshold."""
-    threshold_px: float = 3.0
+    threshold_px: Positive = 3.0
     """Inlier threshold at an image width of 1280 px; it scales with the width."""
-    samples: int = 512
+    samples: Count = 512
     """Minimal samples drawn for each pair."""
-    min_shared_frames: int = 20
+    min_shared_frames: Count = 20
     """Pairs that share fewer frames are not used."""
     division_model: bool = True
     """Estimate one distortion parameter a camera before anything else."""
@@ -57,7 +65,7 @@ class LensSettings:
     """`fixed`: fx = fy."""
     principal_point: Literal["prior", "fixed", "free"] = "prior"
     """`prior`: drawn to the image centre; holding it there costs 2 to 35 times in camera position."""
-    principal_point_sigma: float = 0.05
+    principal_point_sigma: Positive = 0.05
     """Standard deviation of that prior, as a fraction of the image width."""
     known: Literal["none", "refine", "hold"] = "none"
     """With a file of known intrinsics: `hold` them or `refine` them from there."""
@@ -69,11 +77,11 @@ class OutlierSettings:
 
     loss: Literal["cauchy", "none"] = "cauchy"
     """Robust loss of the adjustment."""
-    sigmas: float = 4.0
+    sigmas: Positive = 4.0
     """An observation is kept within this many robust standard deviations."""
-    floor_px: float = 1.0
+    floor_px: Positive = 1.0
     """It is always kept within this distance."""
-    max_rounds: int = 20
+    max_rounds: Count = 20
     """Bound on the rounds of rejecting and readmitting."""
 
 
@@ -86,10 +94,83 @@ class CalibrateSettings:
     epipolar: EpipolarSettings = field(default_factory=EpipolarSettings)
     lens: LensSettings = field(default_factory=LensSettings)
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
-    held_out: float = 0.1
+    held_out: Fraction = 0.1
     """Fraction of the frames kept aside to judge the distortion model; all are used in the last adjustment."""
-    max_mean_px: float = 1.0
+    max_mean_px: Positive = 1.0
     """Quality gate: a mean reprojection error above this fails the calibration (results are kept and marked)."""
-    min_kept: float = 0.7
+    min_kept: Fraction = 0.7
     """Quality gate: a smaller fraction of kept observations fails the calibration."""
-    seed: int = 0
+    seed: Count = 0
+    """Seed of everything drawn at random; the same seed gives the same calibration."""
+
+
+@dataclass(frozen=True)
+class InputSettings:
+    """How the tracks are read."""
+
+    one_based: bool = False
+    """The first pixel is (1, 1), as in files written by Matlab."""
+    image_size: tuple[Count, Count] | None = None
+    """Width and height in pixels of every camera, for files that do not say it."""
+    intrinsics: Path | None = None
+    """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
+
+
+@dataclass(frozen=True)
+class AlignSettings:
+    """What is known in metres about the room; give one of landmarks, camera centres, or floor."""
+
+    landmarks: Path | None = None
+    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]`; without `landmark_pixels` the names are frame numbers."""
+    landmark_pixels: Path | None = None
+    """CSV of the same points clicked in two or more images, `name,camera,x,y`."""
+    camera_centres: Path | None = None
+    """CSV of known camera positions, in the form of `landmarks`, named as the cameras are."""
+    floor: tuple[str, ...] = ()
+    """Three or more points on the floor (names in `landmark_pixels`, else frame numbers of the light laid there):
+    the first becomes the origin, x points to the second."""
+    length_m: Positive | None = None
+    """With `floor`: distance between its first two points."""
+    max_rms_mm: Positive = 50.0
+    """Quality gate: a larger rms residual fails the alignment (results are kept and marked)."""
+
+
+@dataclass(frozen=True)
+class ValidateSettings:
+    """What a calibration is held against (thesis 5.4)."""
+
+    lengths: Path | None = None
+    """CSV of measured lengths, `name,end_a,end_b,length_m`; the ends are names in `landmark_pixels`."""
+    landmark_pixels: Path | None = None
+    """CSV of the ends clicked in two or more images, `name,camera,x,y`."""
+    held_out: bool = False
+    """Also predict every camera's pixels from the other cameras."""
+    max_mean_mm: Positive = 20.0
+    """Quality gate: a larger mean error of the lengths fails the validation (the thesis claims 2 cm)."""
+
+
+@dataclass(frozen=True)
+class DetectSettings:
+    """What is looked for in images."""
+
+    led: LedSettings = field(default_factory=LedSettings)
+
+
+@dataclass(frozen=True)
+class RuntimeSettings:
+    """How the computer is used; no result depends on it."""
+
+    compilation_cache: Path | None = None
+    """Folder in which JAX keeps compiled programs, so that the next run starts sooner; off by default."""
+
+
+@dataclass(frozen=True)
+class RoomConfig:
+    """A whole configuration file, one table a field."""
+
+    input: InputSettings = field(default_factory=InputSettings)
+    detect: DetectSettings = field(default_factory=DetectSettings)
+    calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
+    align: AlignSettings = field(default_factory=AlignSettings)
+    validate: ValidateSettings = field(default_factory=ValidateSettings)
+    runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
