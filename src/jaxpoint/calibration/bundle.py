@@ -1,0 +1,104 @@
+"""Bundle adjustment of a Euclidean rig: what is unknown, one residual, and the solve.
+
+A camera has 15 numbers: rotation vector and translation of `cam_from_world` (the rotation relative to a base that is
+held in the constants), log focal, log aspect (fx / fy), principal point (px), k1, k2, p1, p2, k3. Which of them move
+is a mask, so that every lens model is one compiled program.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from jaxpoint.calibration.schur import AbstractModel, Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.geometry import rotation
+
+POSE, FOCAL, ASPECT, CENTER, RADIAL, TANGENTIAL, K3 = slice(0, 6), 6, 7, slice(8, 10), slice(10, 12), slice(12, 14), 14
+SIZE = 15
+MAX_RADIUS2 = 9.0  # on the z = 1 plane; beyond it the polynomial means nothing and only overflows
+BLOCK = 128  # points in a block: its Jacobians stay in cache
+LEAST_SQUARES = 1e8  # a Cauchy scale (px) at which the loss is a plain square
+
+
+class BrownModel(AbstractModel):
+    """Pinhole camera with Brown distortion; residual is the projected minus the observed pixel (px)."""
+
+    camera_size: ClassVar[int] = SIZE
+    residual_size: ClassVar[int] = 2
+
+    def state(self, cameras, constants):
+        """Rotation matrices and the remaining numbers of the cameras; `constants` are the base rotations (C, 3, 3)."""
+        turned = jax.vmap(rotation.exp)(cameras[:, :3])
+        # Sums written out: a batched product of 3 x 3 matrices is slow on a CPU.
+        return (turned[:, :, :, None] * constants[:, None, :, :]).sum(axis=2), cameras[:, 3:]
+
+    def residual(self, state, moved, point, pixel):
+        """Projected minus observed, px."""
+        turn, numbers = state
+        local = [turn[i, 0] * point[0] + turn[i, 1] * point[1] + turn[i, 2] * point[2] for i in range(3)]
+        x = local[0] + moved[1] * local[2] - moved[2] * local[1] + numbers[0] + moved[3]
+        y = local[1] + moved[2] * local[0] - moved[0] * local[2] + numbers[1] + moved[4]
+        z = local[2] + moved[0] * local[1] - moved[1] * local[0] + numbers[2] + moved[5]
+        z = jnp.where(jnp.abs(z) < 1e-9, 1e-9, z)
+        log_focal, log_aspect, cx, cy, k1, k2, p1, p2, k3 = (numbers[3 + i] + moved[6 + i] for i in range(9))
+        u, v = x / z, y / z
+        r2 = u * u + v * v
+        r2 = jnp.minimum(r2, MAX_RADIUS2)
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        bent_u = u * radial + 2.0 * p1 * u * v + p2 * (r2 + 2.0 * u * u)
+        bent_v = v * radial + p1 * (r2 + 2.0 * v * v) + 2.0 * p2 * u * v
+        focal = jnp.exp(log_focal)
+        return jnp.stack([focal * jnp.exp(log_aspect) * bent_u + cx - pixel[0], focal * bent_v + cy - pixel[1]])
+
+    def retract(self, cameras, constants, step):
+        """A left rotation, everything else added; the focal length at most doubles or halves."""
+        turned = jax.vmap(lambda old, by: rotation.log(rotation.exp(by) @ rotation.exp(old)))(
+            cameras[:, :3], jnp.clip(step[:, :3], -1.0, 1.0)
+        )
+        rest = cameras[:, 3:] + step[:, 3:].at[:, 3:5].set(jnp.clip(step[:, 6:8], -0.7, 0.7))
+        return jnp.concatenate([turned, rest], axis=1)
+
+
+class Adjusted(eqx.Module):
+    """Where an adjustment ended."""
+
+    cameras: Float[Array, "C p"]
+    points: Float[Array, "NB 3 B"]
+    cost: Float[Array, ""]
+    steps: Array
+    settled: Array  # False where the step limit came first
+
+
+@eqx.filter_jit
+def solve(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
+    """Run the structured Levenberg-Marquardt through optimistix. One program for every number of steps and loss."""
+    solution = optx.least_squares(solver.model.residuals, solver, start, args=problem, max_steps=500, throw=False)
+    value, stats = solution.value, solution.stats
+    return Adjusted(value.cameras, value.points, stats["cost"], stats["num_steps"], stats["settled"])
+
+
+def to_blocks(values: np.ndarray, block: int = BLOCK) -> np.ndarray:
+    """(F, ...) to (NB, ..., B), F a multiple of the block."""
+    frames = values.shape[0]
+    split = values.reshape(frames // block, block, *values.shape[1:])
+    return np.ascontiguousarray(np.moveaxis(split, 1, -1))
+
+
+def from_blocks(values: np.ndarray) -> np.ndarray:
+    """(NB, ..., B) to (F, ...)."""
+    values = np.moveaxis(np.asarray(values), -1, 1)
+    return values.reshape(-1, *values.shape[2:])
+
+
+def padded_frames(frames: int, block: int = BLOCK) -> int:
+    """The few lengths that recordings are padded to: 512, 768, 1024, 1536, 2048, ..."""
+    size = 512
+    while size < frames:
+        size = size * 3 // 2 if (size & (size - 1)) == 0 else size * 4 // 3
+    return max(size, block)
