@@ -1,0 +1,350 @@
+"""Calibrated rigs in files: our `calibration.json`, anipose's `calibration.toml`, caliscope's `camera_array.toml`.
+
+`calibration.json`, version 1:
+
+    {"format": "jaxpoint-calibration",
+     "version": 1,
+     "unit": "m",                          or "arbitrary" before alignment: the unit of all translations
+     "cameras": [{"name": "cam_0",
+                  "size": [1280, 720],     width and height, px
+                  "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],     px, (0, 0) is the centre of the top-left pixel
+                  "distortion": [k1, k2, p1, p2, k3],             OpenCV's order
+                  "rotation": [[...], [...], [...]],              x_camera = rotation x_world + translation,
+                  "translation": [x, y, z]}, ...],                camera axes x right, y down, z forward
+     "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...]}
+     "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
+
+`covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (see
+`CAMERA_PARAMETERS`); the rotation is a left perturbation (R = exp(w) R0, rad).
+
+`calibration.toml` holds one table a camera, `cam_0`, `cam_1`, ... in input order, each with `name`, `size`, `matrix`,
+`distortions` (k1, k2, p1, p2, k3), `rotation` (rotation vector) and `translation`, and a table `metadata`.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import tomli_w
+from jaxtyping import Float
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.files import StrPath, natural_key, read_text, replacing
+
+CALIBRATION_FORMAT = "jaxpoint-calibration"
+CALIBRATION_VERSION = 1
+CAMERA_PARAMETERS = (
+    "rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z",
+    "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
+)  # fmt: skip
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+
+class _CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    size: tuple[int, int]
+    K: Matrix3
+    distortion: tuple[float, float, float, float, float]
+    rotation: Matrix3
+    translation: Vector3
+
+
+class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
+    parameters: list[str]
+    matrix: list[list[float]]
+
+
+class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
+    format: str
+    version: int
+    unit: str
+    cameras: list[_CameraEntry]
+    covariance: _CovarianceEntry | None = None
+    provenance: dict[str, Any] = {}
+
+
+@dataclass(frozen=True)
+class SavedCalibration:
+    """A rig as it stood in a file."""
+
+    rig: CameraRig
+    unit: str = "m"  # of the translations: "m" or "arbitrary"
+    covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
+    provenance: dict[str, Any] = field(default_factory=dict)
+
+
+def read_calibration(path: StrPath) -> SavedCalibration:
+    """A rig from `calibration.json`, `calibration.toml`, `camera_array.toml`, or a run's folder.
+
+    Raises:
+        FileFormatError: it is none of these, or a value is missing or wrong (the message gives its path).
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "calibration.json"
+    if path.suffix == ".json":
+        return read_calibration_json(path)
+    if path.suffix == ".toml":
+        return read_camera_array(path) if "cameras" in _read_toml(path) else read_calibration_toml(path)
+    raise FileFormatError(f"{path} is no calibration; give a calibration.json, a .toml, or a run's folder.")
+
+
+def write_calibration_json(
+    path: StrPath,
+    rig: CameraRig,
+    *,
+    unit: str = "m",
+    covariance: Float[np.ndarray, "D D"] | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a rig as `calibration.json` (schema: this module's docstring), at once or not at all.
+
+    Args:
+        unit: of the translations, "m" or "arbitrary".
+        covariance: of all camera parameters, D = 15 C, in the order of `CAMERA_PARAMETERS`.
+        provenance: anything JSON can hold.
+
+    Raises:
+        ValueError: a number is not finite, or the covariance has another shape.
+    """
+    size = len(CAMERA_PARAMETERS) * len(rig)
+    if covariance is not None and np.shape(covariance) != (size, size):
+        raise ValueError(f"The covariance is {np.shape(covariance)}; {len(rig)} cameras need {(size, size)}.")
+    _check_finite("covariance", covariance if covariance is not None else 0.0)
+    entry = None if covariance is None else _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist())
+    content = _CalibrationFile(
+        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, _entries(rig), entry, dict(provenance or {})
+    )
+    with replacing(path) as file:
+        file.write(msgspec.json.format(msgspec.json.encode(content), indent=1))
+
+
+def read_calibration_json(path: StrPath) -> SavedCalibration:
+    """A rig written by `write_calibration_json`.
+
+    Raises:
+        FileFormatError: not JSON, another format or version, or an unknown, missing or wrong field (with its path).
+    """
+    try:
+        raw = msgspec.json.decode(read_text(path))
+        if not isinstance(raw, dict) or raw.get("format") != CALIBRATION_FORMAT:
+            raise FileFormatError(f"{path} is not a calibration.json: its 'format' is not '{CALIBRATION_FORMAT}'.")
+        if raw.get("version") != CALIBRATION_VERSION:
+            raise FileFormatError(
+                f"{path} has version {raw.get('version')}; this jaxpoint reads {CALIBRATION_VERSION}. Update jaxpoint."
+            )
+        content = msgspec.convert(raw, _CalibrationFile)
+    except msgspec.DecodeError as error:  # also what msgspec raises for a value that does not fit the schema
+        raise FileFormatError(f"{path}: {error}.") from None
+    if content.unit not in ("m", "arbitrary"):
+        raise FileFormatError(f"{path}: unit '{content.unit}' at `$.unit` is neither 'm' nor 'arbitrary'.")
+    for i, camera in enumerate(content.cameras):
+        _check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
+    rig = _rig(path, content.cameras)
+    return SavedCalibration(rig, content.unit, _covariance(path, content.covariance, len(rig)), content.provenance)
+
+
+def _covariance(path: StrPath, entry: _CovarianceEntry | None, cameras: int) -> np.ndarray | None:
+    if entry is None:
+        return None
+    size = len(CAMERA_PARAMETERS) * cameras
+    if entry.parameters != list(CAMERA_PARAMETERS):
+        raise FileFormatError(f"{path}: `$.covariance.parameters` must be {', '.join(CAMERA_PARAMETERS)}.")
+    if len(entry.matrix) != size or any(len(row) != size for row in entry.matrix):
+        raise FileFormatError(f"{path}: `$.covariance.matrix` must be {size} x {size} for {cameras} cameras.")
+    return np.array(entry.matrix)
+
+
+def write_calibration_toml(
+    path: StrPath, rig: CameraRig, *, unit: str = "m", metadata: Mapping[str, Any] | None = None
+) -> None:
+    """Write a rig as anipose and caliscope read it (`cam_0`, ... in input order), at once or not at all.
+
+    Args:
+        unit: of the translations; stands in `[metadata]`.
+        metadata: further values of `[metadata]`; anipose knows `adjusted` and `error` (px).
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+    content: dict[str, Any] = {}
+    for i, camera in enumerate(_entries(rig)):
+        content[f"cam_{i}"] = {
+            "name": camera.name,
+            "size": list(camera.size),
+            "matrix": [list(row) for row in camera.K],
+            "distortions": list(camera.distortion),
+            "rotation": cv2.Rodrigues(np.array(camera.rotation))[0].ravel().tolist(),
+            "translation": list(camera.translation),
+        }
+    content["metadata"] = {"adjusted": True, "error": 0.0, "unit": unit, **(metadata or {})}
+    with replacing(path) as file:
+        tomli_w.dump(content, file)
+
+
+def read_calibration_toml(path: StrPath) -> SavedCalibration:
+    """A rig written by `write_calibration_toml`, anipose, caliscope or Pose2Sim; the cameras in the file's order.
+
+    The unit is metres unless `[metadata]` has `unit`.
+
+    Raises:
+        FileFormatError: not TOML, no camera, a fish-eye lens, or a missing or wrong value (with its section).
+    """
+    content = _read_toml(path)
+    metadata = content.pop("metadata", {})
+    cameras = [
+        _toml_entry(path, section, table, str(table.get("name", section)))
+        for section, table in content.items()
+        if isinstance(table, dict)
+    ]
+    if not cameras:
+        raise FileFormatError(f"{path} holds no camera; expected sections [cam_0], [cam_1], ...")
+    return SavedCalibration(_rig(path, cameras), str(metadata.get("unit", "m")), provenance=metadata)
+
+
+def read_camera_array(path: StrPath) -> SavedCalibration:
+    """The cameras of caliscope's `camera_array.toml` (metres), named cam_<id>; ignored cameras are left out.
+
+    Raises:
+        FileFormatError: not such a file, a fish-eye lens, or a missing or wrong value (with its section).
+    """
+    cameras = [
+        _toml_entry(path, f"cameras.{key}", table, f"cam_{key}") for key, table in _camera_array_tables(path).items()
+    ]
+    return SavedCalibration(_rig(path, cameras))
+
+
+def read_camera_array_sizes(path: StrPath) -> dict[str, tuple[int, int]]:
+    """Width and height (px) of each camera of `camera_array.toml`, calibrated or not.
+
+    Raises:
+        FileFormatError: not such a file, or a size is missing or wrong.
+    """
+    return {
+        f"cam_{key}": _toml_size(f"{path}, [cameras.{key}]: ", table)
+        for key, table in _camera_array_tables(path).items()
+    }
+
+
+def _camera_array_tables(path: StrPath) -> dict[str, dict[str, Any]]:
+    cameras = _read_toml(path).get("cameras")
+    if not isinstance(cameras, dict):
+        raise FileFormatError(f"{path} is no camera_array.toml; expected sections [cameras.0], [cameras.1], ...")
+    kept = {key: table for key, table in cameras.items() if not table.get("ignore", False)}
+    return {key: kept[key] for key in sorted(kept, key=natural_key)}
+
+
+def _read_toml(path: StrPath) -> dict[str, Any]:
+    try:
+        return tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise FileFormatError(f"{path}: {error}; it is not TOML.") from None
+
+
+def _toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
+    width, height = _numbers(where, table, "size", (2,))
+    if width != int(width) or height != int(height):
+        raise FileFormatError(f"{where}size {[width, height]} must be whole pixels.")
+    return int(width), int(height)
+
+
+def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str) -> _CameraEntry:
+    where = f"{path}, [{section}]: "
+    if table.get("fisheye"):
+        raise FileFormatError(f"{where}a fish-eye lens cannot be read; only Brown's distortion can.")
+    distortion = np.zeros(5)
+    given = _numbers(where, table, "distortions", None)
+    if given.ndim != 1 or given.size > 5:
+        raise FileFormatError(f"{where}distortions has shape {given.shape}; give at most k1, k2, p1, p2, k3.")
+    distortion[: given.size] = given
+    rotation = _numbers(where, table, "rotation", None)
+    if rotation.shape not in ((3,), (3, 3)):
+        raise FileFormatError(f"{where}rotation has shape {rotation.shape}; give a rotation vector or a 3 x 3 matrix.")
+    matrix = cv2.Rodrigues(rotation)[0] if rotation.shape == (3,) else rotation
+    entry = _CameraEntry(
+        name,
+        _toml_size(where, table),
+        _tuples(_numbers(where, table, "matrix", (3, 3))),
+        _tuples(distortion),
+        _tuples(np.asarray(matrix)),
+        _tuples(_numbers(where, table, "translation", (3,))),
+    )
+    _check_entry(where, entry)
+    return entry
+
+
+def _numbers(where: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> np.ndarray:
+    if key not in table:
+        raise FileFormatError(f"{where}'{key}' is missing.")
+    try:
+        values = np.array(table[key], dtype=float)
+    except (TypeError, ValueError):
+        raise FileFormatError(f"{where}'{key}' must hold numbers.") from None
+    if not np.isfinite(values).all() or (shape is not None and values.shape != shape):
+        raise FileFormatError(f"{where}'{key}' must be {shape or 'all'} finite numbers, not {table[key]}.")
+    return values
+
+
+def _tuples(values: np.ndarray) -> Any:
+    return tuple(map(tuple, values.tolist())) if values.ndim == 2 else tuple(values.tolist())
+
+
+def _check_entry(where: str, camera: _CameraEntry) -> None:
+    k, rotation = np.array(camera.K), np.array(camera.rotation)
+    if min(camera.size) <= 0:
+        raise FileFormatError(f"{where}size {list(camera.size)} must be positive.")
+    if min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
+        raise FileFormatError(f"{where}K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {k.tolist()}.")
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+        raise FileFormatError(f"{where}the rotation is none: R R^T must be the identity and det R = +1.")
+
+
+def _rig(path: StrPath, cameras: list[_CameraEntry]) -> CameraRig:
+    names = tuple(camera.name for camera in cameras)
+    if not names or len(set(names)) != len(names):
+        raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
+    k = np.array([camera.K for camera in cameras])
+    return CameraRig.from_parameters(
+        focal=k[:, [0, 1], [0, 1]],
+        center=k[:, :2, 2],
+        distortion=np.array([camera.distortion for camera in cameras]),
+        rotation=np.array([camera.rotation for camera in cameras]),
+        translation=np.array([camera.translation for camera in cameras]),
+        image_sizes=np.array([camera.size for camera in cameras]),
+        names=names,
+    )
+
+
+def _entries(rig: CameraRig) -> list[_CameraEntry]:
+    """The cameras of a rig as plain numbers."""
+    cameras = rig.cameras
+    count = len(rig)
+    focal, center = np.asarray(cameras.focal, float), np.asarray(cameras.center, float)
+    k = np.tile(np.eye(3), (count, 1, 1))
+    k[:, [0, 1], [0, 1]] = focal
+    k[:, :2, 2] = center
+    distortion = np.asarray(cameras.distortion.coefficients, float)
+    rotation = np.asarray(cameras.cam_from_world.rotation, float)
+    translation = np.asarray(cameras.cam_from_world.translation, float)
+    sizes = np.asarray(rig.image_sizes).astype(int)
+    for name, values in (("K", k), ("distortion", distortion), ("rotation", rotation), ("translation", translation)):
+        _check_finite(name, values)
+    return [
+        _CameraEntry(name, *map(_tuples, parts))
+        for name, *parts in zip(rig.names, sizes, k, distortion, rotation, translation)
+    ]
+
+
+def _check_finite(name: str, values: Any) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"The {name} of the rig is not finite; a calibration that failed is not written.")

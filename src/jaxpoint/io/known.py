@@ -1,0 +1,154 @@
+"""What is known about the room: landmarks, where they were clicked in images, measured lengths, camera centres.
+
+- `landmarks.csv`: `name,x_m,y_m,z_m`, and optionally `sigma_m` (standard deviation of each coordinate, m).
+- `landmark_pixels.csv`: `name,camera,x,y`, a point clicked in the image of a camera (px, (0, 0) is the centre of the
+  top-left pixel); each point in two or more images.
+- `lengths.csv`: `name,end_a,end_b,length_m`, the ends named as in `landmark_pixels.csv`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.files import Row, StrPath, read_table
+from jaxpoint.io.svoboda import read_matrix, read_rad_folder
+from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths
+
+
+def read_landmarks(path: StrPath) -> Landmarks:
+    """Known points from `name,x_m,y_m,z_m[,sigma_m]`.
+
+    Raises:
+        FileFormatError: a missing column or value, a name twice, or a sigma that is not positive.
+    """
+    rows = read_table(path, ("name", "x_m", "y_m", "z_m"))
+    names = _unique(rows, "name")
+    points = np.array([[row.number(axis) for axis in ("x_m", "y_m", "z_m")] for row in rows])
+    if "sigma_m" not in rows[0].values:
+        return Landmarks(names, points)
+    return Landmarks(names, points, np.array([_positive(row, "sigma_m") for row in rows]))
+
+
+def read_landmark_pixels(path: StrPath, cameras: Sequence[str]) -> LandmarkPixels:
+    """Clicked points from `name,camera,x,y`; `cameras` names the columns of the result.
+
+    Raises:
+        FileFormatError: a missing column or value, a camera that is not among `cameras`, or a point clicked twice in
+            one image.
+    """
+    rows = read_table(path, ("name", "camera", "x", "y"))
+    names = tuple(dict.fromkeys(row.text("name") for row in rows))
+    pixels = np.zeros((len(names), len(cameras), 2))
+    visible = np.zeros((len(names), len(cameras)), bool)
+    point_index = {name: i for i, name in enumerate(names)}
+    camera_index = {name: i for i, name in enumerate(cameras)}
+    for row in rows:
+        if row.text("camera") not in camera_index:
+            raise row.error(f"there is no camera '{row.text('camera')}'; the cameras are {', '.join(cameras)}.")
+        place = point_index[row.text("name")], camera_index[row.text("camera")]
+        if visible[place]:
+            raise row.error(f"'{row.text('name')}' is given twice for camera '{row.text('camera')}'; keep one.")
+        pixels[place], visible[place] = (row.number("x"), row.number("y")), True
+    return LandmarkPixels(names, pixels, visible)
+
+
+def read_lengths(path: StrPath) -> Lengths:
+    """Measured lengths from `name,end_a,end_b,length_m`.
+
+    Raises:
+        FileFormatError: a missing column or value, a name twice, equal ends, or a length that is not positive.
+    """
+    rows = read_table(path, ("name", "end_a", "end_b", "length_m"))
+    for row in rows:
+        if row.text("end_a") == row.text("end_b"):
+            raise row.error(f"both ends are '{row.text('end_a')}'; a length needs two.")
+    return Lengths(
+        _unique(rows, "name"),
+        tuple((row.text("end_a"), row.text("end_b")) for row in rows),
+        np.array([_positive(row, "length_m") for row in rows]),
+    )
+
+
+def read_camera_centres(path: StrPath, cameras: Sequence[str]) -> Landmarks:
+    """Known places of the cameras, in metres, in the order of `cameras`.
+
+    From `landmarks.csv` with the cameras' names (some may be missing), from a calibration (`calibration.json`,
+    `calibration.toml`, `camera_array.toml`; names again), or from a matrix of text with one row a camera
+    (`original_cam_centers.dat`, or a folder that holds it).
+
+    Raises:
+        FileFormatError: it is none of these, names no camera of the rig, or has not one row a camera.
+    """
+    path = Path(path)
+    if path.is_dir():
+        path = path / "original_cam_centers.dat"
+    if path.suffix == ".dat":
+        centres = read_matrix(path)
+        if centres.shape != (len(cameras), 3) or not np.isfinite(centres).all():
+            raise FileFormatError(
+                f"{path} is {centres.shape[0]} x {centres.shape[1]}; {len(cameras)} cameras need {len(cameras)} rows "
+                "of three finite numbers."
+            )
+        return Landmarks(tuple(cameras), centres)
+    if path.suffix == ".csv":
+        known = read_landmarks(path)
+    else:
+        rig = read_calibration(path).rig
+        known = Landmarks(rig.names, np.asarray(rig.positions))
+    names = [name for name in cameras if name in known.names]
+    if not names:
+        raise FileFormatError(
+            f"{path} names {', '.join(known.names)}, none of which is a camera of the rig ({', '.join(cameras)})."
+        )
+    return known.select(names)
+
+
+def read_intrinsics(
+    path: StrPath, cameras: Sequence[str], image_sizes: Int[np.ndarray, "C 2"], one_based: bool = False
+) -> CameraRig:
+    """Known lenses of the cameras, in the order of `cameras`; the poses of the rig mean nothing.
+
+    From a calibration (`calibration.json`, `calibration.toml`, `camera_array.toml`; by names) or a folder of `*.rad`
+    files (one a camera, in order).
+
+    Raises:
+        FileFormatError: it is neither, lacks a camera, or was made for images of another size.
+    """
+    path = Path(path)
+    if path.is_dir() and not (path / "calibration.json").exists():
+        return read_rad_folder(path, image_sizes, tuple(cameras), one_based)
+    rig = read_calibration(path).rig
+    missing = [name for name in cameras if name not in rig.names]
+    if missing:
+        raise FileFormatError(f"{path} has no camera '{missing[0]}', only {', '.join(rig.names)}; name them alike.")
+    rig = rig.select([rig.names.index(name) for name in cameras])
+    different = (np.asarray(rig.image_sizes) != image_sizes).any(axis=1)
+    if different.any():
+        camera = int(different.argmax())
+        raise FileFormatError(
+            f"{path}: camera '{cameras[camera]}' has images of {np.asarray(rig.image_sizes)[camera].tolist()} px, the "
+            f"tracks of {np.asarray(image_sizes)[camera].tolist()} px; calibrate its lens at the size recorded."
+        )
+    return rig
+
+
+def _unique(rows: list[Row], column: str) -> tuple[str, ...]:
+    seen: set[str] = set()
+    for row in rows:
+        if row.text(column) in seen:
+            raise row.error(f"the name '{row.text(column)}' is used twice; names must differ.")
+        seen.add(row.text(column))
+    return tuple(row.text(column) for row in rows)
+
+
+def _positive(row: Row, column: str) -> float:
+    if row.number(column) <= 0:
+        raise row.error(f"column '{column}' is {row.values[column]}; it must be positive.")
+    return row.number(column)

@@ -1,0 +1,124 @@
+"""`timestamps.csv` as caliscope writes it: which frame of each camera's file belongs to which common moment."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, Shaped
+
+from jaxpoint.errors import FileFormatError, InsufficientDataError
+from jaxpoint.io.files import Row, StrPath, natural_key, read_table
+
+
+@dataclass(frozen=True)
+class Timestamps:
+    """F common moments of C cameras whose files may have started, ended and dropped frames differently."""
+
+    cameras: tuple[str, ...]
+    sync_indices: Int[np.ndarray, " F"]
+    frame_index: Int[np.ndarray, "F C"]  # position in the camera's own file; -1 where it has no frame
+    frame_time: Float[np.ndarray, "F C"]  # s, as the camera's clock has it; 0 where it has no frame
+
+    @property
+    def present(self) -> Bool[np.ndarray, "F C"]:
+        """Where a camera has a frame."""
+        return self.frame_index >= 0
+
+    @property
+    def times(self) -> Float[np.ndarray, " F"]:
+        """Mean time of each moment over the cameras that have a frame, s."""
+        return self.frame_time.sum(axis=1) / self.present.sum(axis=1)
+
+    def select(self, names: Sequence[str]) -> Timestamps:
+        """The columns of some cameras in the order given; 'cam_3', 'cam3' and '3' mean the same camera.
+
+        Moments in which none of them has a frame are left out.
+
+        Raises:
+            InsufficientDataError: a camera is not in the file.
+        """
+        known = {_camera_key(name): i for i, name in enumerate(self.cameras)}
+        missing = [name for name in names if _camera_key(name) not in known]
+        if missing:
+            raise InsufficientDataError(
+                f"The timestamps know no camera '{missing[0]}', only {', '.join(self.cameras)}; name the files alike."
+            )
+        columns = [known[_camera_key(name)] for name in names]
+        moments = self.present[:, columns].any(axis=1)
+        return Timestamps(
+            tuple(names),
+            self.sync_indices[moments],
+            self.frame_index[moments][:, columns],
+            self.frame_time[moments][:, columns],
+        )
+
+    def gather(self, per_camera: Sequence[Shaped[np.ndarray, "_ ..."]], fill: float) -> Shaped[np.ndarray, "F C ..."]:
+        """Values of each camera's own frames (N_c, ...), brought to the common moments; `fill` where there is none.
+
+        Raises:
+            InsufficientDataError: a file has fewer frames than the timestamps say.
+        """
+        columns = []
+        for camera, values in enumerate(per_camera):
+            index = self.frame_index[:, camera]
+            if index.max() >= len(values):
+                raise InsufficientDataError(
+                    f"Camera '{self.cameras[camera]}' has {len(values)} frames, but the timestamps speak of frame "
+                    f"{index.max()}; use the timestamps.csv of this recording."
+                )
+            column = np.full((len(index), *values.shape[1:]), fill, values.dtype)
+            column[index >= 0] = values[index[index >= 0]]
+            columns.append(column)
+        return np.stack(columns, axis=1)
+
+
+def _camera_key(name: str) -> str:
+    match = re.fullmatch(r"(?:cam(?:era)?|port)?[_-]?0*(\d+)", name, re.IGNORECASE)
+    return match[1] if match else name
+
+
+def read_timestamps(path: StrPath) -> Timestamps:
+    """The timestamps of a recording.
+
+    Columns `sync_index,cam_id,frame_index,frame_time` (`port` of older files means `cam_id`). Without `frame_index`
+    the frames of each camera count from 0 in the order of their times, as caliscope counts them.
+
+    Raises:
+        FileFormatError: a missing column or value, or a camera with two frames in one moment.
+    """
+    rows = read_table(path, ("sync_index", "frame_time"))
+    column = "cam_id" if "cam_id" in rows[0].values else "port"
+    if column not in rows[0].values:
+        raise FileFormatError(f"{path} has no column 'cam_id' (it has {', '.join(rows[0].values)}).")
+    cameras = sorted({row.text(column) for row in rows}, key=natural_key)
+    moments = sorted({row.integer("sync_index") for row in rows})
+    moment_index = {moment: i for i, moment in enumerate(moments)}
+    frame_index = np.full((len(moments), len(cameras)), -1)
+    frame_time = np.zeros(frame_index.shape)
+    for camera, name in enumerate(cameras):
+        own = [row for row in rows if row.text(column) == name]
+        for row, index in zip(own, _frame_indices(own)):
+            place = moment_index[row.integer("sync_index")], camera
+            if frame_index[place] >= 0:
+                raise row.error(f"camera {name} has a second frame in sync_index {row.integer('sync_index')}.")
+            frame_index[place], frame_time[place] = index, row.number("frame_time")
+    return Timestamps(tuple(cameras), np.array(moments), frame_index, frame_time)
+
+
+def _frame_indices(rows: list[Row]) -> list[int]:
+    """The position in its file of every frame of one camera."""
+    if "frame_index" in rows[0].values:
+        indices = [row.integer("frame_index") for row in rows]
+        seen: set[int] = set()
+        for row, index in zip(rows, indices):
+            if index < 0 or index in seen:
+                raise row.error(f"frame_index {index} is negative or used twice.")
+            seen.add(index)
+        return indices
+    order = np.argsort([row.number("frame_time") for row in rows], kind="stable")
+    ranks = np.empty(len(rows), int)
+    ranks[order] = np.arange(len(rows))
+    return ranks.tolist()

@@ -1,0 +1,282 @@
+"""Tracks in files: our own `.npz`, a long CSV, caliscope's corners, and the one door to all of them, `read_tracks`.
+
+Long CSV: `frame,time,camera,x,y`, one line for each light seen. `time` (s) may be left out; x or y empty or NaN means
+hidden. The image sizes come from the columns `width,height`, else from the argument `image_sizes`, else from a file
+`cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are
+sorted by name, cam_2 before cam_10.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.calibration import read_camera_array_sizes
+from jaxpoint.io.files import Row, StrPath, natural_key, read_header, read_table, replacing
+from jaxpoint.io.svoboda import read_svoboda
+from jaxpoint.tracks import Tracks
+
+TRACKS_FORMAT = "jaxpoint-tracks"
+TRACKS_VERSION = 1
+LONG_COLUMNS = ("frame", "camera", "x", "y")
+CORNER_COLUMNS = ("sync_index", "cam_id", "keypoint_id", "img_loc_x", "img_loc_y")
+
+ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]
+
+
+def read_tracks(path: StrPath, *, one_based: bool = False, image_sizes: ImageSizes | None = None) -> Tracks:
+    """Tracks from whatever `path` is.
+
+    - a folder with `points.dat` (or that file itself): Svoboda's toolbox, see `read_svoboda`;
+    - `.npz`: written by `save_tracks`;
+    - `.csv` with a column `keypoint_id`: caliscope's corners, see `read_caliscope_corners`;
+    - any other `.csv`: the long table of this module.
+
+    Args:
+        one_based: the pixels of text files count from 1, as Matlab's do; 1 is subtracted.
+        image_sizes: width and height (px) of all cameras, or of each by name, for CSV files that do not say.
+
+    Raises:
+        FileFormatError: it is none of these, or is damaged.
+    """
+    path = Path(path)
+    if path.name == "points.dat" and path.is_file():
+        path = path.parent
+    if path.is_dir():
+        if not (path / "points.dat").exists():
+            raise FileFormatError(
+                f"The folder {path} has no points.dat; give a folder of Svoboda's toolbox, or the .npz or .csv file in "
+                "it. Images and videos go through `jaxpoint detect led` first."
+            )
+        return read_svoboda(path, one_based)
+    if path.suffix == ".npz":
+        return load_tracks(path)
+    if path.suffix == ".csv":
+        if "keypoint_id" in read_header(path):
+            return read_caliscope_corners(path, image_sizes)
+        return read_long_csv(path, one_based, image_sizes)
+    if not path.exists():
+        raise FileFormatError(f"There is no file or folder {path}; check the path.")
+    raise FileFormatError(f"{path} is no tracks file; give a folder with points.dat, an .npz or a .csv file.")
+
+
+def save_tracks(
+    path: StrPath,
+    tracks: Tracks,
+    reasons: Int[np.ndarray, "F C"] | None = None,
+    reason_names: Sequence[str] = (),
+) -> None:
+    """Write tracks as `.npz`, at once or not at all.
+
+    Args:
+        reasons: why each light was rejected, as an index into `reason_names`.
+
+    Raises:
+        ValueError: `reasons` does not fit the tracks or names.
+    """
+    arrays: dict[str, np.ndarray] = {
+        "format": np.array(TRACKS_FORMAT),
+        "version": np.array(TRACKS_VERSION),
+        "pixels": tracks.pixels,
+        "visible": tracks.visible,
+        "image_sizes": tracks.image_sizes,
+        "frame_ids": tracks.frame_ids,
+        "names": np.array(tracks.names),
+    }
+    if tracks.times is not None:
+        arrays["times"] = tracks.times
+    if reasons is not None:
+        reasons = np.asarray(reasons)
+        if reasons.shape != tracks.visible.shape or not ((reasons >= 0) & (reasons < len(reason_names))).all():
+            raise ValueError(
+                f"`reasons` {reasons.shape} must have the shape {tracks.visible.shape} and values below "
+                f"{len(reason_names)}, the number of names."
+            )
+        arrays |= {"reasons": reasons.astype(np.int16), "reason_names": np.array(reason_names)}
+    with replacing(path) as file:
+        np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def load_tracks(path: StrPath) -> Tracks:
+    """Tracks written by `save_tracks`.
+
+    Raises:
+        FileFormatError: not such a file, damaged, or of a later version.
+    """
+    arrays = _read_npz(path)
+    try:
+        return Tracks.from_pixels(
+            arrays["pixels"],
+            arrays["image_sizes"],
+            arrays["visible"],
+            arrays["frame_ids"],
+            arrays.get("times"),
+            tuple(str(name) for name in arrays["names"]),
+        )
+    except (KeyError, ValueError) as error:
+        raise FileFormatError(f"{path} is damaged: {error}") from None
+
+
+def load_reasons(path: StrPath) -> tuple[Int[np.ndarray, "F C"], tuple[str, ...]] | None:
+    """The detection reasons of a file written by `save_tracks` and their names; None where it has none.
+
+    Raises:
+        FileFormatError: not such a file, damaged, or of a later version.
+    """
+    arrays = _read_npz(path)
+    if "reasons" not in arrays:
+        return None
+    return arrays["reasons"], tuple(str(name) for name in arrays["reason_names"])
+
+
+def _read_npz(path: StrPath) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+    except (FileNotFoundError, IsADirectoryError):
+        raise FileFormatError(f"There is no file {path}; check the path.") from None
+    except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise FileFormatError(f"{path} is not an .npz file or is cut off ({error}); write it again.") from None
+    if "format" not in arrays or str(arrays["format"]) != TRACKS_FORMAT:
+        raise FileFormatError(f"{path} holds no jaxpoint tracks; write it with `jaxpoint detect led` or `save_tracks`.")
+    if int(arrays["version"]) != TRACKS_VERSION:
+        raise FileFormatError(
+            f"{path} has version {int(arrays['version'])}, this jaxpoint reads {TRACKS_VERSION}; update jaxpoint."
+        )
+    return arrays
+
+
+def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSizes | None = None) -> Tracks:
+    """Tracks from a table `frame,time,camera,x,y` (this module says which columns are optional).
+
+    Raises:
+        FileFormatError: a missing column or value, a camera twice in one frame, or no image size.
+    """
+    rows = read_table(path, LONG_COLUMNS)
+    order, sizes = _sizes_of(path, rows, image_sizes)
+    frames = [row.integer("frame") for row in rows]
+    frame_ids = sorted(set(frames))
+    pixels = _scatter(rows, frames, frame_ids, order, ("x", "y"))
+    times = _times(path, rows, frames, frame_ids) if "time" in rows[0].values else None
+    return Tracks.from_pixels(
+        pixels - float(one_based),
+        np.array([sizes[name] for name in order]),
+        frame_ids=np.array(frame_ids),
+        times=times,
+        names=order,
+    )
+
+
+def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None) -> Tracks:
+    """Corners of a board as caliscope writes them (`xy_CHARUCO.csv`), each one a "frame" of its own.
+
+    Frame ids are `sync_index * 10_000 + keypoint_id`; cameras are named cam_<id>. The image sizes come from
+    `image_sizes` or a `camera_array.toml` in this folder or one of the three above it.
+
+    Raises:
+        FileFormatError: a missing column or value, a corner twice, a board beside another, or no image size.
+    """
+    rows = read_table(path, CORNER_COLUMNS)
+    for row in rows:
+        row.values["camera"] = f"cam_{row.integer('cam_id')}"
+        if not 0 <= row.integer("keypoint_id") < CORNER_STRIDE:
+            raise row.error(f"keypoint_id must lie in 0..{CORNER_STRIDE - 1}.")
+    if len({row.values.get("object_id") for row in rows}) > 1:
+        raise FileFormatError(f"{path} holds several boards (object_id); keep the lines of one.")
+    if image_sizes is None:
+        image_sizes = _camera_array_sizes(Path(path), {row.values["camera"] for row in rows})
+    order, sizes = _sizes_of(path, rows, image_sizes)
+    frames = [row.integer("sync_index") * CORNER_STRIDE + row.integer("keypoint_id") for row in rows]
+    frame_ids = sorted(set(frames))
+    pixels = _scatter(rows, frames, frame_ids, order, ("img_loc_x", "img_loc_y"))
+    return Tracks.from_pixels(
+        pixels, np.array([sizes[name] for name in order]), frame_ids=np.array(frame_ids), names=order
+    )
+
+
+CORNER_STRIDE = 10_000  # more corners than any board has
+
+
+def _camera_array_sizes(path: Path, cameras: set[str]) -> dict[str, tuple[int, int]] | None:
+    for folder in path.resolve().parents[:4]:
+        if (folder / "camera_array.toml").exists():
+            sizes = read_camera_array_sizes(folder / "camera_array.toml")
+            return {name: size for name, size in sizes.items() if name in cameras}
+    return None
+
+
+def _scatter(
+    rows: list[Row], frames: list[int], frame_ids: list[int], cameras: Sequence[str], xy: tuple[str, str]
+) -> np.ndarray:
+    """(F, C, 2) pixels, NaN where there is no line."""
+    frame_index = {frame: i for i, frame in enumerate(frame_ids)}
+    camera_index = {name: i for i, name in enumerate(cameras)}
+    pixels = np.full((len(frame_ids), len(cameras), 2), np.nan)
+    taken = np.zeros(pixels.shape[:2], bool)
+    for row, frame in zip(rows, frames):
+        name = row.text("camera")
+        place = frame_index[frame], camera_index[name]
+        if taken[place]:
+            raise row.error(f"camera '{name}' has a second line for frame {frame}; keep one.")
+        taken[place] = True
+        if not (row.missing(xy[0]) or row.missing(xy[1])):
+            pixels[place] = row.number(xy[0]), row.number(xy[1])
+    return pixels
+
+
+def _times(path: StrPath, rows: list[Row], frames: list[int], frame_ids: list[int]) -> np.ndarray | None:
+    """(F,) mean time of each frame's lines, s; None where the column is empty throughout."""
+    if all(row.missing("time") for row in rows):
+        return None
+    seconds: dict[int, list[float]] = {frame: [] for frame in frame_ids}
+    for row, frame in zip(rows, frames):
+        if not row.missing("time"):
+            seconds[frame].append(row.number("time"))
+    empty = [frame for frame, values in seconds.items() if not values]
+    if empty:
+        raise FileFormatError(f"{path}: frame {empty[0]} has no time, others do; give all or drop the column.")
+    return np.array([np.mean(seconds[frame]) for frame in frame_ids])
+
+
+def _sizes_of(
+    path: StrPath, rows: list[Row], given: ImageSizes | None
+) -> tuple[tuple[str, ...], dict[str, tuple[int, int]]]:
+    """The cameras in order, and the image size of each."""
+    seen = sorted({row.text("camera") for row in rows}, key=natural_key)
+    order: Sequence[str] = seen
+    sidecar = Path(path).parent / "cameras.csv"
+    if {"width", "height"} <= rows[0].values.keys():
+        sizes = _sizes_in(rows)
+    elif isinstance(given, Mapping):
+        sizes, order = dict(given), list(given)
+    elif given is not None:
+        sizes = dict.fromkeys(seen, given)
+    elif sidecar.exists():
+        sizes = _sizes_in(read_table(sidecar, ("camera", "width", "height")))
+        order = list(sizes)
+    else:
+        raise FileFormatError(
+            f"{path} does not say how large the images are; add columns width,height, or a file {sidecar} "
+            "(camera,width,height), or give the image size as an option."
+        )
+    missing = [name for name in seen if name not in sizes]
+    if missing:
+        raise FileFormatError(f"{path}: no image size is known for camera '{missing[0]}', only for {list(sizes)}.")
+    return tuple(order), sizes
+
+
+def _sizes_in(rows: list[Row]) -> dict[str, tuple[int, int]]:
+    sizes: dict[str, tuple[int, int]] = {}
+    for row in rows:
+        size = row.integer("width"), row.integer("height")
+        if min(size) <= 0:
+            raise row.error(f"an image of {size[0]} x {size[1]} px; width and height must be positive.")
+        name = row.text("camera")
+        if sizes.setdefault(name, size) != size:
+            raise row.error(f"camera '{name}' is {size} here and {sizes[name]} before.")
+    return sizes

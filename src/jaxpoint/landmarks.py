@@ -1,0 +1,122 @@
+"""Points and lengths known in the room, and where a calibration puts them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.errors import InsufficientDataError
+from jaxpoint.triangulation import Triangulation, triangulate
+
+CLICK_SIGMA_PX = 1.0  # standard deviation of a hand-clicked coordinate
+MISCLICK_PX = 10.0  # a click this far from where the others put the point is worth a warning
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """N points whose place in the room is known."""
+
+    names: tuple[str, ...]
+    points: Float[np.ndarray, "N 3"]  # m, world
+    sigmas: Float[np.ndarray, " N"] | None = None  # m, standard deviation of each coordinate
+
+    def select(self, names: Sequence[str]) -> Landmarks:
+        """Some landmarks, in the order given.
+
+        Raises:
+            KeyError: there is no landmark of that name.
+        """
+        places = {name: i for i, name in enumerate(self.names)}
+        index = [places[name] for name in names]
+        return Landmarks(tuple(names), self.points[index], None if self.sigmas is None else self.sigmas[index])
+
+
+@dataclass(frozen=True)
+class LandmarkPixels:
+    """N points clicked in the images of C cameras."""
+
+    names: tuple[str, ...]
+    pixels: Float[np.ndarray, "N C 2"]  # px, 0 where not clicked
+    visible: Bool[np.ndarray, "N C"]
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """L distances measured in the room."""
+
+    names: tuple[str, ...]
+    ends: tuple[tuple[str, str], ...]
+    length_m: Float[np.ndarray, " L"]
+
+
+def locate(
+    calibration: Calibration, names: Sequence[str], clicks: LandmarkPixels | None = None
+) -> tuple[Float[np.ndarray, "N 3"], tuple[str, ...]]:
+    """Places of named points in the calibration's frame and unit, and warnings about them.
+
+    A name is, in this order: a point of `clicks` (triangulated), a camera (its centre), or the number of a frame
+    (the light in it).
+
+    Raises:
+        InsufficientDataError: a name is none of these, is clicked in fewer than two images, or its frame has no point.
+    """
+    clicked = {} if clicks is None else {name: i for i, name in enumerate(clicks.names)}
+    cameras = {name: i for i, name in enumerate(calibration.tracks.names)}
+    frames = {str(frame): i for i, frame in enumerate(calibration.tracks.frame_ids)}
+    points, warnings = np.zeros((len(names), 3)), []
+    for i, name in enumerate(names):
+        if name in clicked and clicks is not None:
+            continue
+        if name in cameras:
+            points[i] = np.asarray(calibration.rig.positions)[cameras[name]]
+        elif name in frames and calibration.point_valid[frames[name]]:
+            points[i] = calibration.points[frames[name]]
+        else:
+            raise InsufficientDataError(_unknown(name, name in frames, clicks is not None))
+    chosen = [i for i, name in enumerate(names) if name in clicked]
+    if clicks is not None and chosen:
+        index = [clicked[names[i]] for i in chosen]
+        found = triangulate_clicks(calibration, clicks, [names[i] for i in chosen])
+        points[chosen] = np.asarray(found.points)
+        lengths = np.linalg.norm(np.asarray(found.residuals), axis=-1) * clicks.visible[index]
+        warnings = [
+            f"The clicks on '{names[i]}' miss each other by {worst:.0f} px; look at them again."
+            for i, worst in zip(chosen, lengths.max(axis=1))
+            if worst > MISCLICK_PX
+        ]
+    return points, tuple(warnings)
+
+
+def triangulate_clicks(
+    calibration: Calibration, clicks: LandmarkPixels, names: Sequence[str], sigma_px: float = CLICK_SIGMA_PX
+) -> Triangulation:
+    """Clicked points in the calibration's frame, in the order of `names`.
+
+    Raises:
+        InsufficientDataError: a name was not clicked, or in fewer than two images.
+    """
+    places = {name: i for i, name in enumerate(clicks.names)}
+    for name in names:
+        views = int(clicks.visible[places[name]].sum()) if name in places else 0
+        if views < 2:
+            raise InsufficientDataError(
+                f"'{name}' is clicked in {views} images; click it in two or more (landmark_pixels: name,camera,x,y)."
+            )
+    index = [places[name] for name in names]
+    with jax.enable_x64(True):
+        return triangulate(calibration.rig, clicks.pixels[index], clicks.visible[index], sigma_px=sigma_px)
+
+
+def _unknown(name: str, is_frame: bool, has_clicks: bool) -> str:
+    if is_frame:
+        return f"The light of frame {name} has no point in the calibration; take a frame that two cameras saw well."
+    source = "clicked point" if has_clicks else "frame number"
+    return (
+        f"'{name}' is no {source}, camera or frame of this calibration; "
+        "click it in two or more images (landmark_pixels: name,camera,x,y)."
+    )
