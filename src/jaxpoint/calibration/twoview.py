@@ -1,0 +1,183 @@
+"""All pairs of cameras at once: lenses, epipolar geometry, and a vote on every observation (SPEC 2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from jaxpoint.calibration.bundle import padded_frames
+from jaxpoint.config import EpipolarSettings
+from jaxpoint.epipolar import lens_table, robust_fundamental
+from jaxpoint.tracks import Tracks
+
+LENS_GRID = np.linspace(-0.6, 0.2, 9)  # division-model parameters per half diagonal
+# Where the first samples are drawn: two mild, two medium, two strong lenses, and one of each.
+FIRST_LENSES = np.array([[-0.05, -0.05], [-0.2, -0.2], [-0.45, -0.45], [-0.45, -0.05], [-0.05, -0.45]])
+LOOSE = 8.0 / 3.0  # the first pass, before the lenses are known, is this much more generous
+PRIOR_MEAN, PRIOR_SIGMA = -0.15, 0.4  # of a division-model parameter, weak
+
+
+@dataclass(frozen=True)
+class NormalisedTracks:
+    """Tracks padded to one of few lengths, in units of half the image diagonal from the image centre."""
+
+    points: np.ndarray  # (N, C, 2), still distorted
+    visible: np.ndarray  # (N, C)
+    half_diagonals: np.ndarray  # (C,) px
+    centers: np.ndarray  # (C, 2) px
+    widths: np.ndarray  # (C,) px
+    frames: int  # the first ones are real, the rest padding
+
+
+@dataclass(frozen=True)
+class TwoViewGeometry:
+    """What pairs of cameras say."""
+
+    lenses: np.ndarray  # (C,) division-model parameters
+    fundamentals: dict[tuple[int, int], np.ndarray]  # (i, j), i < j: ray_j^T F ray_i = 0
+    shared: np.ndarray  # (C, C) frames seen by both
+    inliers: np.ndarray  # (C, C) of those, the ones that fit
+    votes: np.ndarray  # (N, C) fraction of an observation's pairs in which it is an inlier; 1 where it has none
+
+
+def normalised(tracks: Tracks) -> NormalisedTracks:
+    """Tracks as the projective stages want them."""
+    half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
+    centers = (tracks.image_sizes - 1) / 2.0
+    size = padded_frames(tracks.frames)
+    points = np.zeros((size, tracks.cameras, 2))
+    visible = np.zeros((size, tracks.cameras), dtype=bool)
+    points[: tracks.frames] = np.where(tracks.visible[..., None], (tracks.pixels - centers) / half[:, None], 0.0)
+    visible[: tracks.frames] = tracks.visible
+    return NormalisedTracks(points, visible, half, centers, tracks.image_sizes[:, 0].astype(float), tracks.frames)
+
+
+def two_view_geometry(
+    data: NormalisedTracks, settings: EpipolarSettings, seed: int, progress: Callable[[int, int], None] | None = None
+) -> TwoViewGeometry:
+    """Division-model lenses from all pairs together, then every pair's F, then the vote (DESIGN "Self-calibration")."""
+    pairs = _usable_pairs(data, settings.min_shared_frames)
+    keys = jax.random.split(jax.random.key(seed), 2 * max(len(pairs), 1))
+    cameras = data.points.shape[1]
+    lenses = np.zeros(cameras)
+    total = len(pairs) * (2 if settings.division_model else 1)
+    if settings.division_model:
+        tables = {}
+        for number, pair in enumerate(pairs):
+            tables[pair] = _pair_lens_table(data, pair, settings, keys[number])
+            if progress:
+                progress(number + 1, total)
+        lenses = joint_lenses(tables, cameras)
+    return _with_lenses(data, pairs, lenses, settings, keys[len(pairs) :], progress, total)
+
+
+def _usable_pairs(data: NormalisedTracks, least: int) -> list[tuple[int, int]]:
+    visible = data.visible.astype(int)
+    shared = visible.T @ visible
+    cameras = visible.shape[1]
+    return [(i, j) for i in range(cameras) for j in range(i + 1, cameras) if shared[i, j] >= least]
+
+
+def _threshold(data: NormalisedTracks, pair, settings: EpipolarSettings) -> float:
+    return settings.threshold_px * float(data.widths[list(pair)].mean()) / 1280.0
+
+
+def _fit(data, pair, settings, key, lenses, threshold):
+    i, j = pair
+    return robust_fundamental(
+        key,
+        data.points[:, i],
+        data.points[:, j],
+        data.visible[:, i] & data.visible[:, j],
+        data.half_diagonals[[i, j]],
+        lenses,
+        np.float64(threshold),
+        samples=-(-settings.samples // len(FIRST_LENSES)),
+        method=settings.method,
+    )
+
+
+def _pair_lens_table(data, pair, settings, key) -> np.ndarray:
+    """Summed robust cost of the pair for every two lenses of the grid."""
+    i, j = pair
+    threshold = _threshold(data, pair, settings)
+    loose = np.asarray(_fit(data, pair, settings, key, FIRST_LENSES, LOOSE * threshold).inlier)
+    table = lens_table(
+        data.points[:, i],
+        data.points[:, j],
+        loose.astype(float),
+        data.half_diagonals[[i, j]],
+        LENS_GRID,
+        np.float64(threshold * 2.0 / 3.0),
+    )
+    return np.asarray(table) * loose.sum()
+
+
+def joint_lenses(tables: dict[tuple[int, int], np.ndarray], cameras: int) -> np.ndarray:
+    """The lens of every camera that all pairs together like best: coordinate descent over their tables."""
+    prior = 0.5 * ((LENS_GRID - PRIOR_MEAN) / PRIOR_SIGMA) ** 2
+    chosen = np.full(cameras, int(np.argmin(np.abs(LENS_GRID))))
+    costs = np.tile(prior, (cameras, 1))
+    for _ in range(50):
+        before = chosen.copy()
+        for camera in range(cameras):
+            cost = prior.copy()
+            for (i, j), table in tables.items():
+                if i == camera:
+                    cost = cost + table[:, chosen[j]]
+                elif j == camera:
+                    cost = cost + table[chosen[i]]
+            costs[camera], chosen[camera] = cost, int(cost.argmin())
+        if (before == chosen).all():
+            break
+    return np.array([_parabola_minimum(cost) for cost in costs])
+
+
+def _parabola_minimum(cost: np.ndarray) -> float:
+    """Minimum between the grid's points."""
+    best = int(np.clip(cost.argmin(), 1, len(cost) - 2))
+    left, middle, right = cost[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    offset = 0.5 * (left - right) / bend if bend > 0 else 0.0
+    return float(LENS_GRID[best] + np.clip(offset, -1.0, 1.0) * (LENS_GRID[1] - LENS_GRID[0]))
+
+
+def _with_lenses(data, pairs, lenses, settings, keys, progress, total) -> TwoViewGeometry:
+    cameras = data.points.shape[1]
+    fundamentals, agree, count = {}, np.zeros(data.visible.shape), np.zeros(data.visible.shape)
+    shared, inliers = np.zeros((cameras, cameras), int), np.zeros((cameras, cameras), int)
+    for number, (i, j) in enumerate(pairs):
+        both = data.visible[:, i] & data.visible[:, j]
+        offered = np.tile(lenses[[i, j]], (len(FIRST_LENSES), 1))
+        fit = _fit(data, (i, j), settings, keys[number], offered, _threshold(data, (i, j), settings))
+        good = np.asarray(fit.inlier)
+        fundamentals[i, j] = np.asarray(fit.fundamental)
+        shared[i, j] = shared[j, i] = both.sum()
+        inliers[i, j] = inliers[j, i] = good.sum()
+        agree[:, [i, j]] += good[:, None]
+        count[:, [i, j]] += both[:, None]
+        if progress:
+            progress(total - len(pairs) + number + 1, total)
+    votes = np.where(count > 0, agree / np.maximum(count, 1), 1.0)
+    return TwoViewGeometry(lenses, fundamentals, shared, inliers, votes)
+
+
+def undistorted(points: np.ndarray, lenses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Undistorted points (N, C, 2), and how much one distorted unit is worth there (N, C), at most 1.
+
+    Points beyond the reach of the division model get a weight of 0.
+    """
+    third = 1.0 + lenses * (points**2).sum(axis=-1)
+    inside = third > 0.1
+    safe = np.where(inside, third, 1.0)
+    return points / safe[..., None], np.where(inside, np.minimum(safe, 1.0), 0.0)
+
+
+def fundamental(geometry: TwoViewGeometry, first: int, second: int) -> np.ndarray:
+    """F with ray_second^T F ray_first = 0."""
+    if first < second:
+        return geometry.fundamentals[first, second]
+    return geometry.fundamentals[second, first].T
