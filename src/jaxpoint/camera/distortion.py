@@ -1,0 +1,203 @@
+"""Lens distortion on the z = 1 plane of the camera."""
+
+from __future__ import annotations
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+
+# A ray 89.9 degrees off the axis; beyond it a polynomial in r^2 means nothing and only overflows.
+_MAX_R2 = 1e6
+_HALVINGS = 40
+_RADIAL_STEPS = 12
+_PLANE_STEPS = 4
+
+
+class AbstractDistortion(eqx.Module):
+    """Where the ray through (x, y) of the z = 1 plane really goes, and back.
+
+    A model is final: it implements both functions and nothing inherits from it.
+    """
+
+    @abc.abstractmethod
+    def distort(self, xy: Float[AnyArray, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Distorted place of ideal places; finite for every finite input."""
+
+    @abc.abstractmethod
+    def undistort(self, xy: Float[AnyArray, "*batch 2"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Ideal place of distorted places, and whether there is one within the model's range.
+
+        Where there is none the place is finite but meaningless, and its derivative is 0.
+        """
+
+
+class NoDistortion(AbstractDistortion):
+    """A perfect lens."""
+
+    def distort(self, xy: Float[AnyArray, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """The same places."""
+        return as_float(xy)
+
+    def undistort(self, xy: Float[AnyArray, "*batch 2"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """The same places, all valid."""
+        xy = as_float(xy)
+        return xy, jnp.ones(xy.shape[:-1], dtype=bool)
+
+
+class Brown(AbstractDistortion):
+    """Radial and tangential distortion (Brown 1966), as OpenCV and Matlab use it.
+
+    x' = x (1 + k1 r^2 + k2 r^4 + k3 r^6) + 2 p1 x y + p2 (r^2 + 2 x^2), and likewise y' with p1 and p2 swapped.
+    It can be inverted as far out as the radial part still grows with r; `undistort` says where it cannot.
+    """
+
+    coefficients: Float[Array, "5"] = eqx.field(converter=as_float)  # k1, k2, p1, p2, k3
+
+    def distort(self, xy: Float[AnyArray, "*batch 2"]) -> Float[Array, "*batch 2"]:
+        """Distorted place of ideal places."""
+        xy = as_float(xy)
+        return stack_last(*_distort(self.coefficients, xy[..., 0], xy[..., 1]))
+
+    def undistort(self, xy: Float[AnyArray, "*batch 2"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
+        """Ideal place of distorted places by a fixed number of safeguarded Newton steps, and whether there is one.
+
+        Exact to rounding where valid; derivatives (of all orders) come from the implicit function theorem.
+        """
+        target = as_float(xy)
+        ideal = _undistort(self.coefficients, target)
+        return ideal, _reaches(self.coefficients, ideal, target)
+
+    def is_monotone(self, xy: Float[AnyArray, "*batch 2"]) -> Bool[Array, "*batch"]:
+        """Whether the radial polynomial grows all the way from the axis to the radius of ideal places."""
+        xy = as_float(xy)
+        return _least_slope(self.coefficients, jnp.sum(xy**2, axis=-1)) > 0
+
+
+def _distort(coefficients: Float[Array, "5"], x: Array, y: Array) -> tuple[Array, Array]:
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = jnp.minimum(x * x + y * y, _MAX_R2)
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return (
+        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+    )
+
+
+def _jacobian(coefficients: Float[Array, "5"], x: Array, y: Array) -> tuple[Array, Array, Array]:
+    """d x'/dx, d x'/dy (= d y'/dx), d y'/dy."""
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x * x + y * y
+    radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+    return (
+        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+        slope * x * y + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
+    )
+
+
+def _slope(coefficients: Float[Array, "5"], r2: Array) -> Array:
+    """Derivative of the distorted radius by the ideal radius."""
+    k1, k2, _, _, k3 = coefficients
+    return 1 + r2 * (3 * k1 + r2 * (5 * k2 + r2 * 7 * k3))
+
+
+def _least_slope(coefficients: Float[Array, "5"], r2: Array) -> Array:
+    """The smallest `_slope` between the axis and a squared radius: at an end, or where 3 k1 + 10 k2 s + 21 k3 s^2 = 0.
+
+    Both roots are written so that none divides by a coefficient that may be 0.
+    """
+    k1, k2, _, _, k3 = coefficients
+    a, b, c = 21 * k3, 10 * k2, 3 * k1
+    discriminant = b * b - 4 * a * c
+    real = discriminant > 0
+    q = -(b + jnp.where(b < 0, -1.0, 1.0) * jnp.sqrt(jnp.where(real, discriminant, 1.0))) / 2
+    least = jnp.minimum(1.0, _slope(coefficients, r2))
+    for top, bottom in ((q, a), (c, q)):
+        root = jnp.where(bottom != 0, top / jnp.where(bottom != 0, bottom, 1.0), -1.0)
+        inside = real & (root > 0) & (root < r2)
+        least = jnp.where(inside, jnp.minimum(least, _slope(coefficients, jnp.where(inside, root, 0.0))), least)
+    return least
+
+
+def _monotone_radius(coefficients: Float[Array, "5"]) -> Float[Array, ""]:
+    """Ideal radius up to which the radial part grows, by halving; at most the root of `_MAX_R2`."""
+
+    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = bounds
+        middle = jnp.sqrt(low * high)
+        grows = _least_slope(coefficients, middle) > 0
+        return jnp.where(grows, middle, low), jnp.where(grows, high, middle)
+
+    start = jnp.full_like(coefficients[0], 1e-6), jnp.full_like(coefficients[0], _MAX_R2)
+    return jnp.sqrt(jax.lax.fori_loop(0, _HALVINGS, halve, start)[0])
+
+
+@jax.custom_jvp
+@jax.jit
+def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
+    """The ideal place: Newton on the radius within the range where it grows, then Newton on the plane."""
+    tx, ty = target[..., 0], target[..., 1]
+    reach = _monotone_radius(coefficients)
+    k1, k2, _, _, k3 = coefficients
+    distorted = jnp.sqrt(tx * tx + ty * ty)
+
+    def radial_step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        radius, low, high = state
+        r2 = radius * radius
+        excess = radius * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) - distorted
+        low, high = jnp.where(excess <= 0, radius, low), jnp.where(excess > 0, radius, high)
+        slope = _slope(coefficients, r2)
+        newton = radius - excess / jnp.where(slope > 0, slope, 1.0)
+        return jnp.where((slope > 0) & (newton >= low) & (newton <= high), newton, (low + high) / 2), low, high
+
+    start = jnp.minimum(distorted, reach), jnp.zeros_like(distorted), jnp.zeros_like(distorted) + reach
+    radius = jax.lax.fori_loop(0, _RADIAL_STEPS, radial_step, start)[0]
+    shrink = radius / jnp.where(distorted > 0, distorted, 1.0)
+
+    def plane_step(_: int, place: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, y = place
+        gx, gy = _distort(coefficients, x, y)
+        dx, dy = _solve(_jacobian(coefficients, x, y), tx - gx, ty - gy)
+        # No step longer than a fifth of the radius it starts from: the radial part is nearly right already.
+        scale = jnp.minimum(1.0, 0.2 * (radius + 0.1) / (jnp.sqrt(dx * dx + dy * dy) + 1e-30))
+        return x + scale * dx, y + scale * dy
+
+    return stack_last(*jax.lax.fori_loop(0, _PLANE_STEPS, plane_step, (tx * shrink, ty * shrink)))
+
+
+@_undistort.defjvp
+def _undistort_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    coefficients, target = primals
+    ideal = _undistort(coefficients, target)
+    x, y = ideal[..., 0], ideal[..., 1]
+    _, (by_lens_x, by_lens_y) = jax.jvp(lambda c: _distort(c, x, y), (coefficients,), (tangents[0],))
+    dx, dy = _solve(_jacobian(coefficients, x, y), tangents[1][..., 0] - by_lens_x, tangents[1][..., 1] - by_lens_y)
+    valid = _reaches(coefficients, ideal, target)
+    return ideal, stack_last(jnp.where(valid, dx, 0.0), jnp.where(valid, dy, 0.0))
+
+
+def _reaches(
+    coefficients: Float[Array, "5"], ideal: Float[Array, "*batch 2"], target: Float[Array, "*batch 2"]
+) -> Bool[Array, "*batch"]:
+    """Whether `ideal` lies in the range of the lens and is distorted to `target`, to rounding."""
+    x, y = ideal[..., 0], ideal[..., 1]
+    tx, ty = target[..., 0], target[..., 1]
+    gx, gy = _distort(coefficients, x, y)
+    gap = jnp.maximum(jnp.abs(gx - tx), jnp.abs(gy - ty))
+    tolerance = 200 * jnp.finfo(gap.dtype).eps * (1 + jnp.abs(tx) + jnp.abs(ty))
+    return (gap < tolerance) & (_least_slope(coefficients, x * x + y * y) > 0)
+
+
+def _solve(jacobian: tuple[Array, Array, Array], x: Array, y: Array) -> tuple[Array, Array]:
+    """Solution of the symmetric 2 x 2 system; zero where it is singular or turned over."""
+    xx, xy, yy = jacobian
+    determinant = xx * yy - xy * xy
+    regular = determinant > 1e-6
+    inverse = jnp.where(regular, 1 / jnp.where(regular, determinant, 1.0), 0.0)
+    return (yy * x - xy * y) * inverse, (xx * y - xy * x) * inverse
