@@ -1,0 +1,119 @@
+"""Where the light was, whatever some of the cameras say: the point on which most views agree, for every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxpoint.calibration.recording import Recording, RigState
+from jaxpoint.camera.distortion import Brown
+
+MAX_PAIRS = 128  # of a large rig, this many pairs are tried
+
+
+@dataclass(frozen=True)
+class Consensus:
+    """The best point of every frame and who supports it."""
+
+    points: np.ndarray  # (N, 3)
+    agree: np.ndarray  # (N, D) views within the threshold of the point and in front
+    ambiguous: np.ndarray  # (N,) two views agree, but so do two others: nobody can say who is wrong
+
+
+def consensus(recording: Recording, state: RigState, threshold: float) -> Consensus:
+    """Triangulate every frame from every pair of views and keep the point with which most views agree (px)."""
+    pairs = _pairs(recording)
+    points, agree, ambiguous = _search(
+        recording.pixels, recording.visible, state.rotation, state.cameras, pairs, np.float64(threshold)
+    )
+    return Consensus(np.asarray(points), np.asarray(agree), np.asarray(ambiguous))
+
+
+def _pairs(recording: Recording) -> np.ndarray:
+    """Pairs of cameras that share frames, the most first; padded by repetition to a multiple of 16."""
+    visible = recording.visible[:, : recording.cameras].astype(int)
+    shared = visible.T @ visible
+    pairs = sorted(combinations(range(recording.cameras), 2), key=lambda pair: -shared[pair])
+    pairs = [pair for pair in pairs if shared[pair] > 0][:MAX_PAIRS] or [(0, 1)]
+    missing = -len(pairs) % 16
+    return np.array(pairs + [pairs[0]] * missing)
+
+
+@jax.jit
+def _search(pixels, visible, rotation, cameras, pairs, threshold):
+    focal = jnp.stack([jnp.exp(cameras[:, 6] + cameras[:, 7]), jnp.exp(cameras[:, 6])], axis=1)
+    plane = (pixels - cameras[None, :, 8:10]) / focal[None]
+
+    def straight(coefficients, points):
+        return jax.vmap(Brown(coefficients).undistort)(points)
+
+    plane, valid = jax.vmap(straight, in_axes=(0, 1), out_axes=1)(cameras[:, 10:15], plane)
+    rays = jnp.concatenate([plane, jnp.ones_like(plane[..., :1])], axis=-1)
+    rays = (rays[:, :, :, None] * rotation[None]).sum(axis=2)
+    rays = rays / jnp.linalg.norm(rays, axis=-1, keepdims=True)
+    centers = -(rotation * cameras[:, 3:6, None]).sum(axis=1)
+
+    def attempt(best, pair):
+        first, second = pair[0], pair[1]
+        point, good = _midpoint(centers[first], rays[:, first], centers[second], rays[:, second])
+        good = good & visible[:, first] & visible[:, second] & valid[:, first] & valid[:, second]
+        error, depth = _errors(rotation, cameras, focal, point, pixels)
+        agree = visible & (error < threshold) & (depth > 0) & good[:, None]
+        count = agree.sum(axis=1)
+        cost = jnp.where(visible, jnp.minimum(error, threshold), 0.0).sum(axis=1)
+        old_point, old_agree, old_count, old_cost, ambiguous = best
+        more, equal = count > old_count, (count == old_count) & (count >= 2)
+        other = equal & (agree != old_agree).any(axis=1)
+        take = more | (equal & (cost < old_cost))
+        ambiguous = jnp.where(more, False, ambiguous | other)
+        return (
+            jnp.where(take[:, None], point, old_point),
+            jnp.where(take[:, None], agree, old_agree),
+            jnp.where(take, count, old_count),
+            jnp.where(take, cost, old_cost),
+            ambiguous,
+        ), None
+
+    frames, dtype = pixels.shape[0], pixels.dtype
+    start = (
+        jnp.zeros((frames, 3), dtype),
+        jnp.zeros_like(visible),
+        jnp.zeros(frames, jnp.int64 if dtype == jnp.float64 else jnp.int32),
+        jnp.full(frames, jnp.inf, dtype),
+        jnp.zeros(frames, bool),
+    )
+    (points, agree, count, _, ambiguous), _ = jax.lax.scan(attempt, start, pairs)
+    return points, agree, ambiguous & (count == 2) & (visible.sum(axis=1) > 2)
+
+
+def _midpoint(origin_a, rays_a, origin_b, rays_b):
+    """Middle of the shortest segment between two rays, for all frames; False where they are nearly parallel."""
+    apart = (origin_b - origin_a)[None]
+    cosine = (rays_a * rays_b).sum(axis=1)
+    along_a, along_b = (apart * rays_a).sum(axis=1), (apart * rays_b).sum(axis=1)
+    sine2 = 1.0 - cosine**2
+    good = sine2 > 1e-6
+    sine2 = jnp.where(good, sine2, 1.0)
+    reach_a = (along_a - cosine * along_b) / sine2
+    reach_b = (cosine * along_a - along_b) / sine2
+    point = 0.5 * (origin_a[None] + reach_a[:, None] * rays_a + origin_b[None] + reach_b[:, None] * rays_b)
+    return point, good & (reach_a > 0) & (reach_b > 0)
+
+
+def _errors(rotation, cameras, focal, points, pixels):
+    """Reprojection errors (N, D) px and depths (N, D)."""
+    local = (rotation[None] * points[:, None, None, :]).sum(axis=3) + cameras[None, :, 3:6]
+    depth = local[..., 2]
+    plane = local[..., :2] / jnp.where(jnp.abs(depth) < 1e-9, 1e-9, depth)[..., None]
+    plane = jnp.clip(plane, -3.0, 3.0)
+
+    def bent(coefficients, points):
+        return jax.vmap(Brown(coefficients).distort)(points)
+
+    bent_plane = jax.vmap(bent, in_axes=(0, 1), out_axes=1)(cameras[:, 10:15], plane)
+    projected = bent_plane * focal[None] + cameras[None, :, 8:10]
+    return jnp.linalg.norm(projected - pixels, axis=-1), depth

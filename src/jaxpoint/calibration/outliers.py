@@ -1,0 +1,131 @@
+"""Which observations to believe: rounds that shrink and grow until nothing changes (SPEC 2.7).
+
+Every round judges all visible observations anew against the point on which most views of their frame agree; nothing
+that was thrown out stays out for that reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from jaxpoint.calibration.consensus import consensus
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
+from jaxpoint.calibration.result import Verdict
+from jaxpoint.config import OutlierSettings
+
+GROWING_PX = (30.0, 15.0, 8.0)  # readmission thresholds at an image width of 1280
+FIRST_LOSS_PX = 10.0  # Cauchy scale of the adjustments before the noise is known, likewise
+JUDGED_LOSS_PX = 3.0  # Cauchy scale with which whole hypotheses are compared, likewise
+LEAST_SIGMA_PX = 0.02  # keeps the loss defined on data without noise
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Points, and a verdict on every observation."""
+
+    state: RigState
+    kept: np.ndarray  # (N, D)
+    verdicts: np.ndarray  # (N, D) values of Verdict
+    errors: np.ndarray  # (N, D) px
+
+
+def judge(recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None) -> Judgement:
+    """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px."""
+    found = consensus(recording, state, 1.5 * threshold)
+    frozen = Freedom(np.zeros(state.cameras.shape, bool), np.zeros(state.cameras.shape), np.zeros(state.cameras.shape))
+    placed = RigState(state.cameras, state.base, found.points)
+    has_point = found.agree.sum(axis=1) >= 2
+    visible = recording.visible & has_point[:, None]
+    placed = adjust(recording, placed, visible, frozen, loss_scale=loss_scale or threshold / 2.0, steps=12).state
+    pixels, depth = project(placed)
+    errors = np.linalg.norm(pixels - recording.pixels, axis=-1)
+    near = visible & (errors < threshold) & (depth > 0)
+    enough = (near.sum(axis=1) >= 2) & ~found.ambiguous
+    kept = near & enough[:, None]
+    verdicts = np.full(kept.shape, Verdict.REPROJECTION, dtype=np.int8)
+    verdicts[visible & (depth <= 0)] = Verdict.BEHIND
+    verdicts[recording.visible & ~enough[:, None]] = Verdict.UNDECIDED
+    verdicts[recording.visible & (recording.visible.sum(axis=1) < 2)[:, None]] = Verdict.FEW_VIEWS
+    verdicts[~recording.visible] = Verdict.HIDDEN
+    verdicts[kept] = Verdict.KEPT
+    return Judgement(placed, kept, verdicts, np.where(recording.visible & has_point[:, None], errors, 0.0))
+
+
+def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int) -> float:
+    """Standard deviation of one pixel coordinate.
+
+    A frame seen by V cameras leaves 2 V - 3 degrees of freedom for its summed squared error: 1 of 4 with two views,
+    so a plain median over residuals would be far too small. The median over frames of the sum over its chi-square
+    median is robust and right for every V.
+    """
+    views = kept.sum(axis=1)
+    seen = views >= 2
+    if not seen.any():
+        return np.inf
+    freedom = 2 * views[seen] - 3
+    squares = np.where(kept, errors**2, 0.0).sum(axis=1)[seen] / (2 * gammaincinv(freedom / 2, 0.5))
+    total = freedom.sum()
+    inflate = total / max(total - parameters, 0.1 * total)
+    return float(max(np.sqrt(np.median(squares) * inflate), LEAST_SIGMA_PX))
+
+
+def robust_cost(recording: Recording, state: RigState) -> float:
+    """Cauchy cost over all visible observations, points placed anew: what hypotheses are compared by (px^2)."""
+    scale = JUDGED_LOSS_PX * recording.scale
+    judged = judge(recording, state, 3.0 * scale, scale)
+    return cost_of(recording, judged, scale)
+
+
+def cost_of(recording: Recording, judged: Judgement, scale: float) -> float:
+    """Cauchy cost of all observations of frames seen twice; one whose frame has no point costs as one far off."""
+    testable = recording.visible & (recording.visible.sum(axis=1) >= 2)[:, None]
+    placed = judged.verdicts != Verdict.UNDECIDED
+    errors = np.where(placed, np.minimum(judged.errors, 1e4), 10.0 * scale)
+    return float((scale**2 * np.log1p((errors[testable] / scale) ** 2)).sum())
+
+
+@dataclass(frozen=True)
+class Settled:
+    """A rig whose set of believed observations no longer changes."""
+
+    judged: Judgement
+    sigma_px: float
+    cost: float
+    converged: bool
+    rounds: int
+
+
+def settle(
+    recording: Recording, state: RigState, freedom: Freedom, settings: OutlierSettings, *, growing: bool = True
+) -> Settled:
+    """Adjust and judge in turn: growing from rough thresholds, then at `settings.sigmas` until nothing changes."""
+    scale = recording.scale
+    if growing:
+        for threshold in GROWING_PX:
+            judged = judge(recording, state, threshold * scale)
+            state = adjust(
+                recording, judged.state, judged.kept, freedom, loss_scale=FIRST_LOSS_PX * scale, steps=30, rtol=1e-5
+            ).state
+        judged = judge(recording, state, GROWING_PX[-1] * scale)
+    else:
+        judged = judge(recording, state, GROWING_PX[-1] * scale)
+    parameters = int(freedom.free.sum())
+    settled, converged, rounds = False, False, 0
+    sigma = robust_sigma(judged.errors, judged.kept, parameters)
+    while rounds < settings.max_rounds and not (settled and converged):
+        rounds += 1
+        loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
+        end = adjust(recording, judged.state, judged.kept, freedom, steps=100, **loss)
+        sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
+        threshold = max(settings.sigmas * sigma, settings.floor_px)
+        again = judge(recording, end.state, threshold, 2.0 * sigma)
+        settled, converged = bool((again.kept == judged.kept).all()), end.settled
+        judged = again
+    return Settled(judged, sigma, robust_cost(recording, judged.state), converged and settled, rounds)
+
+
+def _errors(recording: Recording, state: RigState) -> np.ndarray:
+    return np.linalg.norm(project(state)[0] - recording.pixels, axis=-1)

@@ -1,0 +1,213 @@
+"""One recording and one rig as the adjustment sees them: padded to few shapes, in blocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxpoint.calibration.bundle import (
+    ASPECT,
+    CENTER,
+    FOCAL,
+    K3,
+    LEAST_SQUARES,
+    RADIAL,
+    SIZE,
+    TANGENTIAL,
+    BrownModel,
+    from_blocks,
+    padded_frames,
+    solve,
+    to_blocks,
+)
+from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.config import LensSettings
+from jaxpoint.geometry import rotation
+from jaxpoint.tracks import Tracks
+
+CAMERA_SIZES = (4, 6, 8, 12, 16, 24, 32, 48, 64)  # rigs are padded to these, so that few programs are compiled
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Tracks padded in frames (N) and cameras (D); padding is never visible."""
+
+    pixels: np.ndarray  # (N, D, 2)
+    visible: np.ndarray  # (N, D)
+    image_sizes: np.ndarray  # (D, 2)
+    frames: int
+    cameras: int
+
+    @staticmethod
+    def of(tracks: Tracks) -> Recording:
+        """Pad tracks."""
+        frames, cameras = padded_frames(tracks.frames), padded_cameras(tracks.cameras)
+        pixels = np.zeros((frames, cameras, 2))
+        visible = np.zeros((frames, cameras), dtype=bool)
+        sizes = np.ones((cameras, 2), dtype=np.int64)
+        pixels[: tracks.frames, : tracks.cameras] = tracks.pixels
+        visible[: tracks.frames, : tracks.cameras] = tracks.visible
+        sizes[: tracks.cameras] = tracks.image_sizes
+        return Recording(pixels, visible, sizes, tracks.frames, tracks.cameras)
+
+    @property
+    def scale(self) -> float:
+        """Thresholds are given for images 1280 px wide; this is the mean width over that."""
+        return float(self.image_sizes[: self.cameras, 0].mean()) / 1280.0
+
+    @property
+    def exists(self) -> np.ndarray:
+        """(D,) False for padded cameras."""
+        return np.arange(self.image_sizes.shape[0]) < self.cameras
+
+
+def padded_cameras(cameras: int) -> int:
+    """The size of rig that this one is padded to."""
+    return next((size for size in CAMERA_SIZES if size >= cameras), cameras)
+
+
+@dataclass(frozen=True)
+class RigState:
+    """A Euclidean rig while it is being solved: 15 numbers a camera (see `bundle`) about a base rotation."""
+
+    cameras: np.ndarray  # (D, 15)
+    base: np.ndarray  # (D, 3, 3)
+    points: np.ndarray  # (N, 3)
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """cam_from_world (D, 3, 3)."""
+        return np.asarray(_rotations(self.cameras[:, :3], self.base))
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Camera centres (D, 3)."""
+        return -np.einsum("cji,cj->ci", self.rotation, self.cameras[:, 3:6])
+
+    def rebased(self) -> RigState:
+        """The same rig with the rotation vectors at zero."""
+        cameras = self.cameras.copy()
+        cameras[:, :3] = 0.0
+        return RigState(cameras, self.rotation, self.points)
+
+
+@jax.jit
+def _rotations(vectors, base):
+    return jax.vmap(lambda vector, start: rotation.exp(vector) @ start)(vectors, base)
+
+
+def free_parameters(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> np.ndarray:
+    """Which of the 15 numbers of each camera move, (D, 15) bool."""
+    free = np.zeros((recording.image_sizes.shape[0], SIZE), dtype=bool)
+    free[: recording.cameras, :6] = True
+    if hold:
+        return free
+    real = free[: recording.cameras]
+    real[:, FOCAL] = True
+    real[:, ASPECT] = lens.aspect == "free"
+    real[:, CENTER] = lens.principal_point != "fixed"
+    real[:, RADIAL.start] = distortion in ("radial1", "radial2", "brown")
+    real[:, RADIAL.start + 1] = distortion in ("radial2", "brown")
+    real[:, TANGENTIAL] = distortion == "brown"
+    real[:, K3] = distortion == "brown"
+    return free
+
+
+NOISE_PX = 0.5  # assumed when priors are weighed against pixels
+SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.02, 1.0, 0.02  # weak: they only hold what nothing else determines
+
+
+def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.ndarray]:
+    """Prior mean and weight (px^2 per unit^2) of the 15 numbers of each camera, (D, 15) each."""
+    shape = (recording.image_sizes.shape[0], SIZE)
+    mean, sigma = np.zeros(shape), np.full(shape, np.inf)
+    mean[:, CENTER] = (recording.image_sizes - 1) / 2.0
+    if lens.principal_point == "prior":
+        sigma[:, CENTER] = lens.principal_point_sigma * recording.image_sizes[:, :1]
+    sigma[:, ASPECT] = SIGMA_ASPECT
+    sigma[:, RADIAL] = SIGMA_RADIAL
+    sigma[:, K3] = SIGMA_RADIAL
+    sigma[:, TANGENTIAL] = SIGMA_TANGENTIAL
+    return mean, (NOISE_PX / sigma) ** 2
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What may move in an adjustment, and what it is drawn to."""
+
+    free: np.ndarray  # (D, 15) bool
+    prior_mean: np.ndarray  # (D, 15)
+    prior_weight: np.ndarray  # (D, 15)
+
+    @staticmethod
+    def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
+        """The freedom that the settings ask for."""
+        return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens))
+
+    def points_only(self) -> Freedom:
+        """Nothing but the points moves."""
+        return Freedom(np.zeros_like(self.free), self.prior_mean, np.zeros_like(self.prior_weight))
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A rig after an adjustment."""
+
+    state: RigState
+    cost: float  # px^2, robust
+    steps: int
+    settled: bool
+
+
+SOLVER = SchurLevenbergMarquardt(BrownModel())
+
+
+def adjust(
+    recording: Recording,
+    state: RigState,
+    kept: np.ndarray,
+    freedom: Freedom,
+    *,
+    loss_scale: float = LEAST_SQUARES,
+    steps: int = 100,
+    rtol: float = 1e-8,
+) -> Solved:
+    """Robust bundle adjustment of the observations `kept` (N, D)."""
+    state = state.rebased()
+    problem = Problem(
+        jnp.asarray(to_blocks(recording.pixels)),
+        jnp.asarray(to_blocks(kept.astype(np.float64))),
+        jnp.asarray(state.base),
+        jnp.asarray(freedom.free),
+        jnp.asarray(freedom.prior_mean),
+        jnp.asarray(freedom.prior_weight),
+        jnp.asarray(float(loss_scale)),
+        jnp.asarray(steps),
+    )
+    start = Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)))
+    solver = SchurLevenbergMarquardt(SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
+    end = solve(solver, start, problem)
+    solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
+    return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))
+
+
+@jax.jit
+def _projected(vectors, base, numbers, points):
+    turned = _rotations(vectors, base)
+    model = BrownModel()
+
+    def one(turn, rest, point):
+        pixel = model.residual((turn, rest), jnp.zeros(SIZE), point, jnp.zeros(2))
+        return pixel, (turn[2] * point).sum() + rest[2]
+
+    over_cameras = jax.vmap(one, in_axes=(0, 0, None))
+    return jax.vmap(over_cameras, in_axes=(None, None, 0))(turned, numbers, points)
+
+
+def project(state: RigState) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (N, D, 2) and depths (N, D) of the points."""
+    pixels, depth = _projected(state.cameras[:, :3], state.base, state.cameras[:, 3:], state.points)
+    return np.asarray(pixels), np.asarray(depth)
