@@ -1,0 +1,271 @@
+"""What to do next: concrete advice computed from the data. Every rule is a function of plain arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.calibration.pairs import MIN_FRAMES
+from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_cells, image_coverage
+from jaxpoint.report.sync import speed_lags, time_offsets
+
+ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
+ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
+
+
+@dataclass(frozen=True)
+class Advice:
+    """One finding and its remedy; `urgent` ones make the calibration doubtful."""
+
+    finding: str
+    remedy: str
+    urgent: bool = False
+
+
+def advise(summary: Summary) -> list[Advice]:
+    """All that the data says about the recording and the cameras, urgent things first."""
+    names, sizes = summary.names, summary.sizes
+    found = [
+        *on_recording(names, summary.pixels, summary.visible, sizes, summary.shared),
+        *on_views(summary.visible),
+        *on_outliers(names, sizes, summary.pixels, summary.judged, summary.rejected, summary.frame_ids),
+        *on_timing(summary),
+        *on_space(names, summary.scene),
+        *on_lenses(names, summary.lens),
+        *on_principal_points(names, sizes, summary.center),
+        *on_pattern(summary),
+    ]
+    return sorted(found, key=lambda advice: not advice.urgent)
+
+
+def on_recording(
+    names: Sequence[str],
+    pixels: Float[np.ndarray, "F C 2"],
+    visible: Bool[np.ndarray, "F C"],
+    sizes: Int[np.ndarray, "C 2"],
+    shared: Int[np.ndarray, "C C"],
+) -> Iterator[Advice]:
+    """Too little of an image visited; a camera that shares too few frames."""
+    partners = shared.copy()
+    np.fill_diagonal(partners, 0)
+    for camera, name in enumerate(names):
+        order = np.argsort(-partners[camera], kind="stable")[: min(2, len(names) - 1)]
+        weak = [k for k in order if partners[camera, k] < ENOUGH_SHARED]
+        if weak:
+            pairs = " and ".join(f"{partners[camera, k]} with {names[k]}" for k in weak)
+            yield Advice(
+                f"Camera {name} shares too few frames with the others: only {pairs}.",
+                f"Wave the light longer where {name} and {names[weak[0]]} both see it; "
+                f"{ENOUGH_SHARED} frames with each of two cameras are the least.",
+                urgent=bool(partners[camera, order[0]] < MIN_FRAMES),
+            )
+    for camera, count in enumerate(image_coverage(pixels, visible, sizes)):
+        covered = float(np.mean(count > 0))
+        if covered < ENOUGH_COVERAGE:
+            yield Advice(
+                f"Camera {names[camera]} saw the light in {covered:.0%} of its image only, {_empty_side(count)}.",
+                f"Its lens is guessed where the light never was: wave it there too, until {ENOUGH_COVERAGE:.0%} of "
+                "the cells are visited.",
+                urgent=covered < 0.15,
+            )
+
+
+def on_views(visible: Bool[np.ndarray, "F C"]) -> Iterator[Advice]:
+    """Hardly any frame seen by three cameras, so that errors along an epipolar line stay hidden."""
+    views = visible.sum(axis=1)
+    usable = (views >= 2).sum()
+    if visible.shape[1] > 2 and usable and (views >= 3).sum() < 0.3 * usable:
+        yield Advice(
+            f"Only {(views >= 3).sum() / usable:.0%} of the usable frames are seen by three or more cameras.",
+            "With two views a wrong detection can hide along the line of sight of the other camera: wave the light "
+            "where three views overlap.",
+        )
+
+
+def on_outliers(
+    names: Sequence[str],
+    sizes: Int[np.ndarray, "C 2"],
+    pixels: Float[np.ndarray, "F C 2"],
+    judged: Bool[np.ndarray, "F C"],
+    rejected: Bool[np.ndarray, "F C"],
+    frame_ids: Int[np.ndarray, " F"],
+) -> Iterator[Advice]:
+    """Outliers that gather in one camera, at one place of its image or at one time."""
+    rate = rejected.sum(axis=0) / np.maximum(judged.sum(axis=0), 1)
+    for camera, name in enumerate(names):
+        count = int(rejected[:, camera].sum())
+        if count < 8:
+            continue
+        others = float(np.median(np.delete(rate, camera)))
+        if rate[camera] > max(0.05, 3 * others):
+            yield Advice(
+                f"Camera {name} has {rate[camera]:.0%} of its observations rejected; the others {others:.0%}.",
+                "Look at its worst frames below: a second light, a reflection, or a camera that was moved or is out of "
+                "step.",
+                urgent=rate[camera] > 0.3,
+            )
+        place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
+        if place is not None:
+            share, (x, y) = place
+            yield Advice(
+                f"{share:.0%} of the outliers of camera {name} lie near pixel ({x:.0f}, {y:.0f}).",
+                "Something there looks like the light: cover that lamp, window or reflection, or mask it.",
+            )
+        when = _gathered_time(judged[:, camera], rejected[:, camera])
+        if when is not None:
+            yield Advice(
+                f"Camera {name} is rejected almost throughout frames {frame_ids[when[0]]} to {frame_ids[when[1]]}.",
+                "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again.",
+                urgent=True,
+            )
+
+
+def on_timing(summary: Summary) -> Iterator[Advice]:
+    """Residuals that follow the light's motion: a camera out of step."""
+    offset, sigma = time_offsets(
+        summary.residuals, summary.kept, summary.pixels, summary.visible, summary.frame_ids
+    )  # fmt: skip
+    certain = np.abs(offset) > np.maximum(6 * sigma, 0.1)
+    for camera in np.flatnonzero(certain):
+        late = "late" if offset[camera] > 0 else "early"
+        yield Advice(
+            f"The residuals of camera {summary.names[camera]} follow the light's motion: it seems "
+            f"{abs(offset[camera]):.2f} ± {sigma[camera]:.2f} frames {late}.",
+            "Check the synchronisation (trigger, dropped frames, clocks); a slower wave makes the error smaller.",
+            urgent=bool(abs(offset[camera]) > 0.5),
+        )
+
+
+def on_synchrony(
+    names: Sequence[str],
+    pixels: Float[np.ndarray, "F C 2"],
+    visible: Bool[np.ndarray, "F C"],
+    frame_ids: Int[np.ndarray, " F"],
+) -> Iterator[Advice]:
+    """Cameras that are whole frames apart, known from the image speeds alone (nothing is solved)."""
+    lag, likeness = speed_lags(pixels, visible, frame_ids)
+    sure = np.nan_to_num(likeness) > 0.5
+    for camera, name in enumerate(names):
+        partners = np.flatnonzero(sure[camera])
+        shifted = [int(lag[k, camera]) for k in partners]
+        if len(shifted) > len(names) // 2 and abs(np.median(shifted)) >= 2:
+            by = int(np.median(shifted))
+            yield Advice(
+                f"The light in camera {name} starts and stops about {abs(by)} frames {'late' if by > 0 else 'early'}.",
+                "Check the frame numbers of that camera: dropped frames or another start of the recording.",
+                urgent=True,
+            )
+
+
+def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
+    """A light that stayed on a plane, or a quarter of the covered volume that it hardly visited."""
+    scene = scene if scene.unit == "m" else scene.upright()
+    if len(scene.points) < 20:
+        return
+    low, high = np.quantile(scene.points, [0.01, 0.99], axis=0)
+    inner = scene.points[((scene.points >= low) & (scene.points <= high)).all(axis=1)]
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(inner.T)), 0.0))
+    if spread[0] < 0.08 * spread[2]:
+        yield Advice(
+            f"The light moved almost on a plane: its spread across is {spread[0] / spread[2]:.0%} of that along.",
+            "Wave it low and high, near and far, through the whole volume.",
+            urgent=spread[0] < 0.02 * spread[2],
+        )
+    middle = (low + high)[:2] / 2
+    right, back = (inner[:, :2] > middle).T
+    for x, y in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        share = float(np.mean((right == x) & (back == y)))
+        if share < 0.06:
+            corner = np.where([x, y], high[:2], low[:2])
+            nearest = int(np.linalg.norm(scene.centers[:, :2] - (corner + middle) / 2, axis=1).argmin())
+            yield Advice(
+                f"Coverage of the room is lopsided: the quarter nearest camera {names[nearest]} holds {share:.0%} of "
+                "the light's positions.",
+                "Walk with the light through that quarter of the floor plan too.",
+            )
+
+
+def on_lenses(names: Sequence[str], lens: Lens) -> Iterator[Advice]:
+    """A lens polynomial that folds back within the image, where the light never was."""
+    for camera in np.flatnonzero(lens.turning <= lens.corner):
+        yield Advice(
+            f"The lens model of camera {names[camera]} stops growing {lens.turning[camera]:.0f} px from its middle, "
+            "before the image corner.",
+            "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
+            'distortion terms (lens.distortion = "radial1").',
+        )
+
+
+def on_principal_points(
+    names: Sequence[str], sizes: Int[np.ndarray, "C 2"], center: Float[np.ndarray, "C 2"]
+) -> Iterator[Advice]:
+    """A principal point far from the middle of the image."""
+    off = (center - (sizes - 1) / 2) / sizes[:, :1]
+    for camera in np.flatnonzero(np.abs(off).max(axis=1) > 0.12):
+        yield Advice(
+            f"The principal point of camera {names[camera]} lies {np.linalg.norm(off[camera]):.0%} of the image width "
+            "from its middle.",
+            "Was the image cropped, or the size given wrongly? If not, cover more of that image with the light.",
+        )
+
+
+def on_pattern(summary: Summary) -> Iterator[Advice]:
+    """Residuals that point the same way in parts of an image: something the camera model does not describe."""
+    for camera, name in enumerate(summary.names):
+        kept = summary.kept[:, camera]
+        residual = summary.residuals[kept, camera]
+        mean, count = cell_means(summary.pixels[kept, camera], residual, summary.sizes[camera])
+        full = count >= 8
+        if full.sum() < 8:
+            continue
+        pattern = float((mean[full] ** 2).sum(axis=-1).mean())
+        noise = float((residual**2).sum(axis=-1).mean() * (1.0 / count[full]).mean())
+        if pattern > 3 * noise and pattern > 0.25**2 * float((residual**2).sum(axis=-1).mean()):
+            yield Advice(
+                f"The residuals of camera {name} have a pattern: {np.sqrt(pattern - noise):.2f} px on average over "
+                "whole parts of its image.",
+                'Its lens needs more terms (lens.distortion = "brown"), or the camera or its focus moved during the '
+                "recording.",
+            )
+
+
+def _empty_side(count: np.ndarray) -> str:
+    """Which side of the image is emptiest, in words."""
+    filled = count > 0
+    sides = {
+        "nothing in the left part": filled[:, : GRID[0] // 2],
+        "nothing in the right part": filled[:, GRID[0] // 2 :],
+        "nothing in the upper part": filled[: GRID[1] // 2],
+        "nothing in the lower part": filled[GRID[1] // 2 :],
+    }
+    text, part = min(sides.items(), key=lambda item: item[1].mean())
+    if part.mean() > 0.6 * filled.mean():
+        return "with gaps on all sides"
+    return text if not part.any() else text.replace("nothing", "little")
+
+
+def _gathered_place(pixels: np.ndarray, size: np.ndarray) -> tuple[float, np.ndarray] | None:
+    """The share of these outliers in their fullest cell and their median pixel there, where it is more than 40 %."""
+    column, row = image_cells(pixels, size).T
+    cells, counts = np.unique(row * GRID[0] + column, return_counts=True)
+    fullest = counts.argmax()
+    if counts[fullest] < max(8, 0.4 * len(pixels)):
+        return None
+    there = (row * GRID[0] + column) == cells[fullest]
+    return float(there.mean()), np.median(pixels[there], axis=0)
+
+
+def _gathered_time(judged: np.ndarray, rejected: np.ndarray, window: int = 30) -> tuple[int, int] | None:
+    """First and last row of a stretch of at least `window` judged observations of which 80 % are rejected."""
+    rows = np.flatnonzero(judged)
+    if len(rows) < 2 * window:
+        return None
+    share = np.convolve(rejected[rows].astype(float), np.ones(window) / window, mode="valid")
+    bad = np.flatnonzero(share >= 0.8)
+    if not bad.size:
+        return None
+    run = bad[: int(np.argmax(np.append(np.diff(bad) > window, True))) + 1]
+    return int(rows[run[0]]), int(rows[run[-1] + window - 1])

@@ -1,0 +1,190 @@
+"""Figures of what the calibration leaves unexplained: detections against reprojections, and residuals every way round."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, small_multiples
+from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean_of_best
+
+_SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
+
+
+def reprojections(summary: Summary) -> Figure:
+    """Detections (rings) against reprojections (crosses), outliers in red: the thesis's figure 25."""
+    figure, axes = small_multiples(len(summary.names), summary.sizes)
+    for camera, ax in enumerate(axes):
+        kept, rejected = summary.kept[:, camera], summary.rejected[:, camera]
+        observed = summary.pixels[:, camera]
+        projected = observed + summary.residuals[:, camera]
+        ax.scatter(*observed[kept].T, s=13, facecolors="none", edgecolors="#3b82d0", linewidths=0.6, rasterized=True)
+        ax.scatter(*projected[kept].T, s=9, marker="+", c="#e08214", linewidths=0.6, rasterized=True)
+        ax.add_collection(
+            LineCollection(np.stack([observed, projected], 1)[rejected], colors=BAD, linewidths=0.7, rasterized=True)
+        )
+        ax.scatter(*observed[rejected].T, s=16, marker="x", c=BAD, linewidths=0.9, rasterized=True)
+        mean = summary.errors[kept, camera].mean() if kept.any() else float("nan")
+        ax.set_title(f"{summary.names[camera]}: {kept.sum()} kept, mean {mean:.2f} px; {rejected.sum()} rejected")
+    return figure
+
+
+def vector_field(summary: Summary) -> Figure:
+    """Residuals as magnified arrows, and their mean in every cell of the image in bold."""
+    figure, axes = small_multiples(len(summary.names), summary.sizes)
+    typical = max(float(np.median(summary.errors[summary.kept])) if summary.kept.any() else 1.0, 1e-6)
+    for camera, ax in enumerate(axes):
+        kept = summary.kept[:, camera]
+        start, residual = summary.pixels[kept, camera], summary.residuals[kept, camera]
+        size = summary.sizes[camera]
+        zoom = _round_number(0.02 * size[0] / typical)
+        ax.add_collection(
+            LineCollection(
+                np.stack([start, start + zoom * residual], 1), colors="#3b82d0", linewidths=0.5, alpha=0.7,
+                rasterized=True,
+            )
+        )  # fmt: skip
+        field, count = cell_means(start, residual, size)
+        cell = size / np.array(GRID)
+        row, column = np.nonzero(count >= 3)
+        middle = (np.stack([column, row], 1) + 0.5) * cell
+        arrow = zoom * field[row, column]
+        ax.quiver(*middle.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.006, zorder=3)
+        ax.set_title(f"{summary.names[camera]}: arrows × {zoom:g}")
+    return figure
+
+
+def error_distribution(summary: Summary) -> Figure:
+    """Histogram of the errors beside what pure noise gives, and the error against the image radius."""
+    figure = Figure(figsize=(10.0, 3.5), layout="constrained")
+    _histogram(summary, figure.add_subplot(1, 2, 1))
+    _against_radius(summary, figure.add_subplot(1, 2, 2))
+    return figure
+
+
+def over_time(summary: Summary) -> Figure:
+    """Every error over the recording, its running median for each camera, and marks where observations were rejected."""
+    figure = Figure(figsize=(10.0, 3.3), layout="constrained")
+    ax = figure.add_subplot()
+    when = summary.frame_ids if summary.times is None else summary.times
+    frames, cameras = np.nonzero(summary.kept)
+    errors = summary.errors[frames, cameras]
+    colors = np.array(camera_colors(len(summary.names)))
+    chosen = _at_most(len(frames), _SCATTER)
+    ax.scatter(when[frames[chosen]], errors[chosen], s=3, c=colors[cameras[chosen]], alpha=0.3, lw=0, rasterized=True)
+    top = 1.15 * float(np.quantile(errors, 0.995)) if errors.size else 1.0
+    for camera, name in enumerate(summary.names):
+        seen = summary.kept[:, camera]
+        if seen.sum() >= 10:
+            middle, median = _binned_median(when[seen].astype(float), summary.errors[seen, camera], bins=60)
+            ax.plot(middle, median, color=colors[camera], lw=1.4, label=name)
+    frames, cameras = np.nonzero(summary.rejected)
+    row = top * (1.04 + 0.035 * cameras)
+    ax.scatter(when[frames], row, s=14, marker="|", c=colors[cameras], linewidths=0.8, rasterized=True)
+    ax.axhline(top, color=FAINT, lw=0.6)
+    ax.annotate(
+        "rejected", (0, top), xycoords=("axes fraction", "data"), xytext=(2, -3), textcoords="offset points", va="top"
+    )
+    ax.set(ylim=(0, top * (1.06 + 0.035 * len(summary.names))), ylabel="error, px")
+    ax.set_yticks([tick for tick in ax.get_yticks() if tick <= top])
+    ax.set_xlabel("frame" if summary.times is None else "time, s")
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(len(summary.names), 8), fontsize=7.5)
+    return figure
+
+
+def kept_against_mean(summary: Summary) -> Figure:
+    """Mean error against the fraction of observations kept, best first, for each camera and for all."""
+    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    ax = figure.add_subplot()
+    everything = summary.errors[summary.judged]
+    top = 0.0
+    for camera, (name, color) in enumerate(zip(summary.names, camera_colors(len(summary.names)), strict=True)):
+        errors = summary.errors[summary.judged[:, camera], camera]
+        fraction, mean = _thinned(*kept_curve(errors))
+        ax.plot(100 * fraction, mean, color=color, lw=1.1, label=name)
+        top = max(top, mean_of_best(errors, 0.97))
+    fraction, mean = _thinned(*kept_curve(everything))
+    ax.plot(100 * fraction, mean, color=INK, lw=2.2, label="all")
+    top = 1.4 * max(top, mean_of_best(everything, 0.97), 1e-3)
+    for mark in (BEST, 1.0):
+        value = mean_of_best(everything, mark)
+        ax.axvline(100 * mark, color=FAINT, lw=0.8, ls="--")
+        ax.plot(100 * mark, min(value, top), "o" if value <= top else "^", color=INK, ms=5, clip_on=False, zorder=4)
+        ax.annotate(
+            f"{100 * mark:.0f} %: {value:.3f} px", (100 * mark, min(value, top)), xytext=(-7, 6),
+            textcoords="offset points", ha="right", weight="bold",
+        )  # fmt: skip
+    ax.set(xlim=(0, 100.5), ylim=(0, top), xlabel="observations kept, best first, %", ylabel="mean error, px")
+    _legend(ax, len(summary.names) + 1, loc="upper left")
+    return figure
+
+
+def _histogram(summary: Summary, ax: Axes) -> None:
+    errors = summary.errors[summary.kept]
+    sigma = max(summary.sigma_px, 1e-9)
+    top = max(5.0 * sigma, float(np.quantile(errors, 0.995)) if errors.size else 0.0)
+    edges = np.linspace(0.0, top, 50)
+    ax.hist(np.minimum(errors, top), edges, density=True, color="#3b82d0", alpha=0.35, label="all cameras")
+    for camera, color in enumerate(camera_colors(len(summary.names))):
+        mine = summary.errors[summary.kept[:, camera], camera]
+        if mine.size:
+            density, _ = np.histogram(mine, edges, density=True)
+            ax.stairs(density, edges, color=color, lw=0.8, alpha=0.9)
+    x = np.linspace(0.0, top, 200)
+    rayleigh = x / sigma**2 * np.exp(-0.5 * (x / sigma) ** 2)
+    ax.plot(x, rayleigh, color=INK, lw=1.6, ls="--", label=f"pure noise, σ = {sigma:.2f} px")
+    ax.set(xlim=(0, top), xlabel="error of an observation kept, px", title="How large the errors are")
+    ax.set_yticks([])
+    ax.spines["left"].set_visible(False)
+    ax.legend()
+
+
+def _against_radius(summary: Summary, ax: Axes) -> None:
+    frames, cameras = np.nonzero(summary.kept)
+    colors = np.array(camera_colors(len(summary.names)))
+    radius = np.linalg.norm(summary.pixels - summary.center, axis=-1)
+    chosen = _at_most(len(frames), _SCATTER)
+    f, c = frames[chosen], cameras[chosen]
+    ax.scatter(radius[f, c], summary.errors[f, c], s=3, c=colors[c], alpha=0.25, lw=0, rasterized=True)
+    for camera, name in enumerate(summary.names):
+        mine = summary.kept[:, camera]
+        if mine.sum() >= 10:
+            middle, median = _binned_median(radius[mine, camera], summary.errors[mine, camera], bins=14)
+            ax.plot(middle, median, color=colors[camera], lw=1.6, label=name)
+    errors = summary.errors[summary.kept]
+    top = 1.1 * float(np.quantile(errors, 0.99)) if errors.size else 1.0
+    ax.set(ylim=(0, top), xlim=(0, None), xlabel="distance from the principal point, px", ylabel="error, px")
+    ax.set_title("Does the error grow towards the edge?")
+    _legend(ax, len(summary.names))
+
+
+def _legend(ax: Axes, entries: int, loc: str = "upper right") -> None:
+    if entries <= 8:
+        ax.legend(loc=loc, ncols=min(entries, 5))
+    else:
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5)
+
+
+def _binned_median(x: np.ndarray, y: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Median of y in bins of equal count along x, and the bins' median x."""
+    order = np.argsort(x, kind="stable")
+    parts = np.array_split(order, max(1, min(bins, len(x) // 8)))
+    return np.array([np.median(x[p]) for p in parts]), np.array([np.median(y[p]) for p in parts])
+
+
+def _at_most(count: int, limit: int) -> np.ndarray:
+    """Indices evenly drawn from `count`, at most `limit` of them."""
+    return np.arange(count) if count <= limit else np.linspace(0, count - 1, limit).astype(int)
+
+
+def _thinned(x: np.ndarray, y: np.ndarray, limit: int = 300) -> tuple[np.ndarray, np.ndarray]:
+    chosen = _at_most(len(x), limit)
+    return x[chosen], y[chosen]
+
+
+def _round_number(value: float) -> float:
+    """The nearest of 1, 2, 5, 10, 20, ... not above `value`."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))

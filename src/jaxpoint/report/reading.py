@@ -1,0 +1,99 @@
+"""A calibration as the plain arrays of the report: where the cameras are, and how their lenses bend."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.report.summary import Lens, Scene, Summary
+
+_STEPS = 400
+_DIRECTIONS = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
+
+
+def summarise(calibration: Calibration) -> Summary:
+    """A calibration as plain arrays."""
+    tracks, cameras = calibration.tracks, calibration.rig.cameras
+    pose, valid = cameras.cam_from_world, np.asarray(calibration.point_valid)
+    rotation, translation = np.asarray(pose.rotation), np.asarray(pose.translation)
+    focal, center = np.asarray(cameras.focal), np.asarray(cameras.center)
+    scene = Scene(
+        centers=-np.einsum("cji,cj->ci", rotation, translation),
+        world_from_cam=np.swapaxes(rotation, 1, 2),
+        points=np.asarray(calibration.points)[valid],
+        unit=calibration.unit,
+    )
+
+    def distort(places: np.ndarray) -> np.ndarray:
+        with jax.enable_x64(True):
+            return np.asarray(jax.vmap(lambda lens, xy: lens.distort(xy))(cameras.distortion, places))
+
+    return Summary(
+        names=tracks.names,
+        sizes=tracks.image_sizes,
+        frame_ids=tracks.frame_ids,
+        times=tracks.times,
+        pixels=tracks.pixels,
+        visible=tracks.visible,
+        residuals=np.asarray(calibration.residuals),
+        verdicts=np.asarray(calibration.verdicts),
+        point_valid=valid,
+        sigma_px=float(calibration.sigma_px),
+        shared=np.asarray(calibration.pairs.shared),
+        focal=focal,
+        center=center,
+        scene=scene,
+        lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
+    )
+
+
+def before_alignment(scene: Scene, similarity) -> Scene:
+    """The scene in the solver's own frame, given the similarity (`geometry.pose.Similarity`) that led it out of it."""
+    scale, rotation = float(similarity.scale), np.asarray(similarity.rotation)
+    translation = np.asarray(similarity.translation)
+    return scene.moved(1 / scale, rotation.T, -rotation.T @ translation / scale, "arbitrary")
+
+
+def lens_profile(
+    distort: Callable[[np.ndarray], np.ndarray],
+    focal: Float[np.ndarray, "C 2"],
+    center: Float[np.ndarray, "C 2"],
+    sizes: Int[np.ndarray, "C 2"],
+    pixels: Float[np.ndarray, "F C 2"],
+    kept: Bool[np.ndarray, "F C"],
+) -> Lens:
+    """The radial behaviour of each lens, averaged over eight directions so that decentring cancels.
+
+    Args:
+        distort: maps points (C, N, 2) on the z = 1 plane of each camera to distorted ones.
+        focal: px.
+        center: principal points, px.
+        sizes: width and height of the images, px.
+        pixels: observations, px.
+        kept: those that the calibration believes.
+    """
+    edges = np.stack([np.full_like(sizes, -0.5, dtype=float), sizes - 0.5], axis=1)  # (C, 2 ends, 2 axes)
+    far = np.abs(edges - center[:, None]).max(axis=1) / focal
+    corner = np.linalg.norm(far, axis=1)
+    seen = (np.linalg.norm((pixels - center) / focal, axis=2) * kept).max(axis=0, initial=0.0)
+    radius = corner[:, None] * np.linspace(0.0, 2.5, _STEPS)
+    places = radius[..., None, None] * _DIRECTIONS
+    bent = distort(places.reshape(len(sizes), -1, 2)).reshape(places.shape)
+    outwards = np.einsum("cnkj,kj->cn", bent, _DIRECTIONS) / len(_DIRECTIONS)
+    marks = np.array([_marks(*camera) for camera in zip(radius, outwards, corner, seen)])
+    px = focal.mean(axis=1)
+    return Lens(radius * px[:, None], (outwards - radius) * px[:, None], *(marks * px[:, None]).T)
+
+
+def _marks(radius, outwards, corner: float, seen: float) -> tuple[float, float, float]:
+    """Undistorted radius of the turning point, of the corner and of the farthest observation (given distorted)."""
+    falling = np.flatnonzero(np.diff(outwards) <= 0)
+    last = int(falling[0]) if falling.size else len(radius) - 1
+    turning = radius[last] if falling.size else np.inf
+    # Pixels are distorted: their radius is led back along the rising part of the curve.
+    back = np.interp([corner, seen], outwards[: last + 1], radius[: last + 1], right=np.inf)
+    return turning, back[0], back[1]

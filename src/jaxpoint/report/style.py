@@ -1,0 +1,119 @@
+"""How the figures look, and how they become text inside an HTML page.
+
+Figures are drawn with matplotlib's object interface (no pyplot, no global figure) and become inline SVG whose ink is the
+page's own: the colours `INK` and `FAINT` turn into CSS variables, so a figure is readable on light and on dark paper.
+Dense scatters are rasterised inside the SVG, which keeps a page of 100,000 dots small.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+
+INK = "#10202f"
+FAINT = "#90a0af"
+BAD = "#d6455d"
+GOOD = "#2e9e6b"
+SEQUENTIAL = mpl.colors.LinearSegmentedColormap.from_list("light_blue", ["#2f7fd100", "#2f7fd1"])
+_HUES = ("#3b82d0", "#e08214", "#2aa36b", "#c4509b", "#8b6fd8", "#b59410", "#1aa5b8", "#d4574a")
+_RASTER_DPI = 144
+_STYLE = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "jaxpoint",
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.linewidth": 0.5,
+    "grid.alpha": 0.45,
+    "grid.color": FAINT,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.titlecolor", "xtick.color", "ytick.color"), INK),
+    "axes.edgecolor": FAINT,
+}
+_TIDY = (
+    (r"(?s)<metadata>.*?</metadata>", ""),
+    (r"(?s)<defs>\s*<style.*?</style>\s*</defs>", ""),  # a style inside inline SVG would hold for the whole page
+    (r'<svg [^>]*viewBox="([^"]*)"[^>]*>', r'<svg class="figure" viewBox="\1">'),
+    (r'<g id="[\w.]+_\d+">', "<g>"),  # these numbers repeat from figure to figure
+    (r" font-family: [^;\"]*;", ""),
+    (r' transform="rotate\(-0 [^"]*"', ""),
+    (r"(\d\.\d{3})\d+", r"\1"),
+    (r"\s*\n\s*", "\n"),
+)
+
+
+@contextmanager
+def style() -> Iterator[None]:
+    """The report's matplotlib settings, undone afterwards."""
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def camera_colors(cameras: int) -> list[str]:
+    """One colour for each of `cameras` cameras, told apart on light and on dark paper."""
+    if cameras <= len(_HUES):
+        return list(_HUES[:cameras])
+    wheel = np.stack(
+        [np.arange(cameras) / cameras, np.full(cameras, 0.62), np.tile([0.85, 0.62], cameras)[:cameras]], 1
+    )
+    return [mpl.colors.to_hex(color) for color in mpl.colors.hsv_to_rgb(wheel)]
+
+
+def small_multiples(cameras: int, sizes: np.ndarray, columns: int = 0) -> tuple[Figure, list[Axes]]:
+    """A figure with one set of axes for each camera, shaped like its images (C, 2), y downwards.
+
+    Returns:
+        The figure and its axes, in camera order.
+    """
+    columns = columns or (2 if cameras <= 4 else 3 if cameras <= 9 else 4)
+    columns = min(columns, cameras)
+    rows = -(-cameras // columns)
+    width = 10.0 / columns
+    tallest = float(np.max(sizes[:, 1] / sizes[:, 0]))
+    figure = Figure(figsize=(10.0, rows * ((width - 0.5) * tallest + 0.5)), layout="constrained")
+    axes = [figure.add_subplot(rows, columns, index + 1) for index in range(cameras)]
+    for ax, (w, h) in zip(axes, sizes, strict=True):
+        ax.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal")
+        ax.grid(False)
+        ax.spines[:].set_visible(True)
+        ax.tick_params(labelsize=7)
+        ax.locator_params(nbins=5)
+    return figure, axes
+
+
+def to_svg(figure: Figure) -> str:
+    """The figure as an inline `<svg>` element that scales with the page and takes the page's colours."""
+    buffer = io.StringIO()
+    with style():
+        figure.savefig(buffer, format="svg", dpi=_RASTER_DPI, metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    for pattern, by in _TIDY:
+        text = re.sub(pattern, by, text)
+    return text.replace(INK, "var(--ink)").replace(FAINT, "var(--faint)").strip()
+
+
+def to_data_uri(image: np.ndarray) -> str:
+    """An RGB or grey image (H, W, 3) or (H, W), values 0..255, as a JPEG data URI."""
+    buffer = io.BytesIO()
+    Image.fromarray(np.clip(np.asarray(image), 0, 255).astype(np.uint8)).save(buffer, "JPEG", quality=90, subsampling=0)
+    return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

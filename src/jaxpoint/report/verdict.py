@@ -1,0 +1,133 @@
+"""Can this calibration be trusted? Every threshold stated, and one sentence that a newcomer understands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from jaxpoint.calibration.alignment import Alignment
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.config import AlignSettings, CalibrateSettings
+from jaxpoint.report.advice import ENOUGH_COVERAGE, ENOUGH_SHARED, Advice
+from jaxpoint.report.summary import Summary, image_coverage, mean
+
+Level = Literal["good", "care", "bad"]
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that was held against a threshold."""
+
+    what: str
+    found: str
+    wanted: str
+    level: Level
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict: `bad` when a gate failed, `care` when something else deserves a look."""
+
+    level: Level
+    title: str
+    sentence: str
+    checks: list[Check]
+
+
+def judge_summary(
+    summary: Summary,
+    calibration: Calibration,
+    advice: list[Advice],
+    settings: CalibrateSettings,
+    align: AlignSettings,
+) -> Judgement:
+    """Hold a calibration against the quality gates of its settings, and against what makes one doubtful."""
+    checks = [*_gates(summary, calibration, settings), *_warnings(summary, settings)]
+    if calibration.alignment is not None:
+        checks += _alignment(calibration.alignment, align)
+    urgent = [item for item in advice if item.urgent]
+    failed = [check for check in checks if check.level == "bad"]
+    doubtful = [check for check in checks if check.level == "care"]
+    facts = (
+        f"on average the cameras agree to {summary.mean_px:.2f} px on where the light was "
+        f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.visible.sum():,} "
+        f"observations fit (at least {settings.min_kept:.0%})"
+    )
+    if failed:
+        reasons = "; ".join(f"{check.what.lower()} is {check.found} (wanted: {check.wanted})" for check in failed)
+        return Judgement("bad", "Not to be trusted", f"Do not use this calibration yet: {reasons}.", checks)
+    if urgent or doubtful:
+        first = urgent[0].finding if urgent else f"{doubtful[0].what}: {doubtful[0].found}."
+        sentence = f"It passes its thresholds: {facts}. But look at this first: {first}"
+        return Judgement("care", "Usable, with care", sentence, checks)
+    return Judgement("good", "This calibration can be trusted", f"{facts[0].upper()}{facts[1:]}.", checks)
+
+
+def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettings) -> list[Check]:
+    """The thresholds at which `jaxpoint calibrate` itself fails."""
+    return [
+        Check(
+            "Solver",
+            f"{'converged' if calibration.converged else 'not converged'} ({calibration.message})",
+            "converged",
+            "good" if calibration.converged else "bad",
+        ),
+        Check(
+            "Mean error of the observations kept",
+            f"{summary.mean_px:.3f} px",
+            f"at most {settings.max_mean_px:g} px",
+            "good" if summary.mean_px <= settings.max_mean_px else "bad",
+        ),
+        Check(
+            "Observations kept",
+            f"{summary.kept_fraction:.1%}",
+            f"at least {settings.min_kept:.0%}",
+            "good" if summary.kept_fraction >= settings.min_kept else "bad",
+        ),
+    ]
+
+
+def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
+    """What does not fail a calibration but makes it doubtful."""
+    names, seen = summary.names, np.maximum(summary.visible.sum(axis=0), 1)
+    kept = summary.kept.sum(axis=0) / seen
+    means = np.array([mean(summary.errors[summary.kept[:, c], c]) for c in range(len(names))])
+    worst, fewest = int(np.argmax(np.nan_to_num(means, nan=np.inf))), int(kept.argmin())
+    partners = summary.shared.copy()
+    np.fill_diagonal(partners, 0)
+    second = np.sort(partners, axis=1)[:, -min(2, max(len(names) - 1, 1))]
+    alone = int(second.argmin())
+    covered = (image_coverage(summary.pixels, summary.visible, summary.sizes) > 0).mean(axis=(1, 2))
+    narrow = int(covered.argmin())
+    limit = settings.max_mean_px
+    others = "two others" if len(names) > 2 else "the other"
+    return [
+        Check("Worst camera", f"{names[worst]}, {means[worst]:.3f} px", f"at most {limit:g} px",
+              "good" if means[worst] <= limit else "care"),
+        Check("Camera with the fewest kept", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
+              "good" if kept[fewest] >= settings.min_kept else "care"),
+        Check(f"Least connected camera, frames shared with {others}", f"{names[alone]}, {second[alone]}",
+              f"at least {ENOUGH_SHARED}", "good" if second[alone] >= ENOUGH_SHARED else "care"),
+        Check("Least covered image", f"{names[narrow]}, {covered[narrow]:.0%}", f"at least {ENOUGH_COVERAGE:.0%}",
+              "good" if covered[narrow] >= ENOUGH_COVERAGE else "care"),
+    ]  # fmt: skip
+
+
+def _alignment(alignment: Alignment, settings: AlignSettings) -> list[Check]:
+    verified = alignment.handedness_verified
+    return [
+        Check(
+            "Alignment to the room, rms",
+            f"{alignment.rms_mm:.1f} mm",
+            f"at most {settings.max_rms_mm:g} mm",
+            "good" if alignment.rms_mm <= settings.max_rms_mm else "bad",
+        ),
+        Check(
+            "Handedness (mirror image ruled out)",
+            "verified" if verified else "not verified: the known points lie on a plane",
+            "verified",
+            "good" if verified else "care",
+        ),
+    ]
