@@ -6,12 +6,20 @@ override the file. Plain Python on purpose: `jaxpoint --help` reads this module 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import tomllib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, TypeVar, get_type_hints
 
+import msgspec
+import tomli_w
 from msgspec import Meta
 
+from jaxpoint.errors import UsageError
+
+Settings = TypeVar("Settings")
 Positive = Annotated[float, Meta(gt=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=0)]
@@ -121,14 +129,15 @@ class AlignSettings:
     """What is known in metres about the room; give one of landmarks, camera centres, or floor."""
 
     landmarks: Path | None = None
-    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]`; without `landmark_pixels` the names are frame numbers."""
+    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]`. A name is a point in `landmark_pixels`, else a camera, else
+    the number of a frame (the light was there)."""
     landmark_pixels: Path | None = None
-    """CSV of the same points clicked in two or more images, `name,camera,x,y`."""
+    """CSV of points clicked in two or more images, `name,camera,x,y`."""
     camera_centres: Path | None = None
-    """CSV of known camera positions, in the form of `landmarks`, named as the cameras are."""
+    """Known camera positions: CSV in the form of `landmarks`, a calibration file, or a .dat with one row a camera."""
     floor: tuple[str, ...] = ()
-    """Three or more points on the floor (names in `landmark_pixels`, else frame numbers of the light laid there):
-    the first becomes the origin, x points to the second."""
+    """Three or more points on the floor, named as in `landmarks`: the first becomes the origin, x points to the
+    second."""
     length_m: Positive | None = None
     """With `floor`: distance between its first two points."""
     max_rms_mm: Positive = 50.0
@@ -143,8 +152,10 @@ class ValidateSettings:
     """CSV of measured lengths, `name,end_a,end_b,length_m`; the ends are names in `landmark_pixels`."""
     landmark_pixels: Path | None = None
     """CSV of the ends clicked in two or more images, `name,camera,x,y`."""
+    tracks: Path | None = None
+    """Another recording by the same cameras, triangulated and reprojected."""
     held_out: bool = False
-    """Also predict every camera's pixels from the other cameras."""
+    """Calibrate each half of the frames anew: predict the other half, and compare the two rigs."""
     max_mean_mm: Positive = 20.0
     """Quality gate: a larger mean error of the lengths fails the validation (the thesis claims 2 cm)."""
 
@@ -174,3 +185,76 @@ class RoomConfig:
     align: AlignSettings = field(default_factory=AlignSettings)
     validate: ValidateSettings = field(default_factory=ValidateSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
+
+
+def load_config(path: Path) -> RoomConfig:
+    """Read a configuration file strictly; relative paths in it count from its folder.
+
+    Raises:
+        UsageError: the file is missing or is not TOML, a key is unknown, or a value has the wrong type or range;
+            the message names the key by its path.
+    """
+    try:
+        raw = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise UsageError(f"There is no configuration file '{path}'; check --config.") from None
+    except (OSError, ValueError) as error:  # what is not TOML or not UTF-8 is a ValueError
+        raise UsageError(f"'{path}' cannot be read as TOML: {error}.") from None
+    for key, known in _unknown_keys(raw, RoomConfig):
+        near = get_close_matches(key.rpartition(".")[2], known, n=1)
+        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}."
+        raise UsageError(f"'{path}' has the unknown key '{key}'; {hint}")
+    try:
+        return _converted(raw, RoomConfig, path.parent)
+    except UsageError as error:
+        raise UsageError(f"In '{path}': {error}") from None
+
+
+def checked(settings: Settings) -> Settings:
+    """The settings, once every value of them has been held against its type and range.
+
+    Raises:
+        UsageError: a value is out of range; the message names it by its path.
+    """
+    return _converted(_plain(settings), type(settings), Path())
+
+
+def to_toml(settings: Any) -> str:
+    """Settings as the text of a configuration file that can stand anywhere: paths absolute, unset values left out."""
+    return tomli_w.dumps(_plain(settings, lambda path: str(path.absolute())))
+
+
+def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
+    def as_path(_: type, value: Any) -> Path:
+        if not isinstance(value, str):
+            raise ValueError("expected a path in quotes")
+        return folder / value
+
+    try:
+        return msgspec.convert(raw, kind, dec_hook=as_path)
+    except msgspec.ValidationError as error:
+        reason, _, place = str(error).partition(" - at `$.")
+        raise UsageError(
+            f"The setting '{place.rstrip('`').removeprefix('settings.')}' cannot be used: {reason}."
+        ) from None
+
+
+def _unknown_keys(raw: dict[str, Any], kind: type, place: str = "") -> Iterator[tuple[str, list[str]]]:
+    """Keys of `raw` that the dataclass does not have (as dotted paths), with the keys it knows there."""
+    types = get_type_hints(kind)
+    for key, value in raw.items():
+        if key not in types:
+            yield place + key, list(types)
+        elif isinstance(value, dict) and is_dataclass(types[key]):
+            yield from _unknown_keys(value, types[key], f"{place}{key}.")
+
+
+def _plain(value: Any, path_text: Callable[[Path], str] = str) -> Any:
+    """Settings as nested dictionaries of TOML's own types, without what is None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {item.name: getattr(value, item.name) for item in fields(value)}
+    if isinstance(value, dict):
+        return {key: _plain(item, path_text) for key, item in value.items() if item is not None}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item, path_text) for item in value]
+    return path_text(value) if isinstance(value, Path) else value

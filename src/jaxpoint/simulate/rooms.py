@@ -39,6 +39,10 @@ class Room:
         """Camera centres in the world, m."""
         return -np.einsum("cji,cj->ci", self.rotation, self.translation)
 
+    def seen(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "N C 2"], Bool[np.ndarray, "N C"]]:
+        """Exact pixels of points (m), and whether each lies inside the image and the lens's range."""
+        return _project((self.focal, self.center, self.distortion, self.rotation, self.translation), points)
+
     @property
     def rig(self):
         """The true cameras as a `CameraRig`."""

@@ -1,0 +1,121 @@
+"""The command line: parse, call one command, exit with the code that DESIGN states.
+
+Exit codes: 0 fine, 1 a bug, 2 usage or configuration, 3 environment, 4 data insufficient or degenerate, 5 quality gate
+failed (results kept and marked), 6 not converged, 7 file format, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import tyro
+
+from jaxpoint.commands.align import Align
+from jaxpoint.commands.calibrate import Calibrate
+from jaxpoint.commands.check import Check
+from jaxpoint.commands.console import Console
+from jaxpoint.commands.demo import Demo
+from jaxpoint.commands.detect import Detect
+from jaxpoint.commands.doctor import Doctor
+from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.validate import Validate
+from jaxpoint.config import RoomConfig, checked, load_config
+from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
+
+Command = Detect | Check | Calibrate | Align | Validate | Doctor | Demo
+COMMANDS = get_args(Command)
+DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
+
+In this order: detect, check, calibrate, align, validate. Without a recording: jaxpoint demo. More on each command and its
+flags: jaxpoint COMMAND --help
+"""
+STYLE = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
+ENVIRONMENT = MissingDependencyError.exit_code
+INTERRUPTED = 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code; what `jaxpoint` on the command line calls."""
+    argv = list(sys.argv[1:] if argv is None else argv)
+    console = Console("--json" in argv, "-v" in argv or "--verbose" in argv)
+    logging.basicConfig(level=logging.INFO if console.verbose else logging.WARNING, format="%(name)s: %(message)s")
+    try:
+        outcome = _run(parse(argv), console)
+        console.show(outcome)
+    except BrokenPipeError:  # the reader of our output has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt as interrupt:
+        return _fail(console, f"interrupted; {interrupt}" if interrupt.args else "interrupted.", INTERRUPTED)
+    except JaxpointError as error:
+        return _fail(console, str(error), error.exit_code)
+    except ModuleNotFoundError as error:
+        return _fail(console, f"The package '{error.name}' is missing; see `jaxpoint doctor`.", ENVIRONMENT)
+    except Exception as error:
+        # The outermost caller: a bug must end in one line and its exit code, with the traceback under -v.
+        if _is_bad_input(error):
+            return _fail(console, str(error), InsufficientDataError.exit_code)
+        logging.getLogger(__name__).info("The program failed here:", exc_info=error)
+        return _fail(console, f"{type(error).__name__}: {error} (a bug; -v shows where)", JaxpointError.exit_code)
+    if outcome.failure is None:
+        return 0
+    _say(outcome.failure)
+    return outcome.failure.exit_code
+
+
+def parse(argv: Sequence[str]) -> Command:
+    """The command that the arguments ask for: defaults, under the file of `--config`, under the flags.
+
+    Raises:
+        UsageError: the file of `--config` cannot be used, or a value is out of range.
+        SystemExit: help was asked for (0), or a flag is unknown or has a wrong value (2).
+    """
+    finder = argparse.ArgumentParser(prog="jaxpoint", add_help=False, allow_abbrev=False)
+    finder.add_argument("--config", type=Path)
+    path = finder.parse_known_args(argv)[0].config
+    room = RoomConfig() if path is None else load_config(path)
+    kinds = [
+        Annotated[kind, tyro.conf.subcommand(kind.__name__.lower(), default=kind.with_defaults(room))]
+        for kind in COMMANDS
+    ]
+    union: Any = reduce(or_, kinds)
+    return checked(tyro.cli(union, prog="jaxpoint", description=DESCRIPTION, args=argv, config=STYLE))
+
+
+def _run(command: Command, console: Console) -> Outcome:
+    if isinstance(command, Doctor):  # must work where jax does not
+        return command.run(console)
+    import jax
+
+    if command.runtime.compilation_cache is not None:
+        jax.config.update("jax_compilation_cache_dir", str(command.runtime.compilation_cache.absolute()))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    with jax.enable_x64(True):
+        return command.run(console)
+
+
+def _is_bad_input(error: Exception) -> bool:
+    """Whether it is a ValueError that jaxpoint itself raised: those explain bad input."""
+    if not isinstance(error, ValueError):
+        return False
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return frame.f_globals.get("__name__", "").startswith("jaxpoint.")
+
+
+def _fail(console: Console, message: str, code: int) -> int:
+    _say(message)
+    console.show(Outcome({"error": message, "exit_code": code}))
+    return code
+
+
+def _say(message: object) -> None:
+    sys.stderr.write(f"jaxpoint: {message}\n")

@@ -1,0 +1,67 @@
+"""`jaxpoint calibrate`: tracks to a calibrated rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from jaxpoint.commands.console import Console
+from jaxpoint.commands.inputs import check_lens, detection_summary, intrinsics_from, tracks_from
+from jaxpoint.commands.options import Inline, Options, Outcome
+from jaxpoint.config import CalibrateSettings, InputSettings, RoomConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrate(Options):
+    """Calibrate the cameras from the tracks of a waved light.
+
+    jaxpoint calibrate tracks.npz --out runs/room
+
+    Nothing about the room need be known; the result has an arbitrary unit until `jaxpoint align`. Results that miss
+    a quality gate are kept, marked, and end in exit code 5 (6 where the adjustment did not converge).
+    """
+
+    tracks: Annotated[Path, tyro.conf.Positional]
+    """Tracks (.npz, .csv), or a folder with points.dat."""
+    input: Annotated[InputSettings, Inline] = field(default_factory=InputSettings)
+    settings: Annotated[CalibrateSettings, Inline] = field(default_factory=CalibrateSettings)
+    room: tyro.conf.Suppress[RoomConfig] = field(default_factory=RoomConfig)
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> Calibrate:
+        """The command's defaults under a configuration file."""
+        return Calibrate(
+            tracks=tyro.MISSING, input=room.input, settings=room.calibrate, room=room, runtime=room.runtime
+        )
+
+    def run(self, console: Console) -> Outcome:
+        """Solve, write the run, and judge it."""
+        from jaxpoint.calibration.selfcal import calibrate
+        from jaxpoint.commands.written import written
+        from jaxpoint.runs import check_out
+
+        out = self.needed_out("runs/room")
+        check_out(out, self.force)
+        check_lens(self.settings.lens, self.input.intrinsics)
+        tracks = tracks_from(self.tracks, self.input)
+        intrinsics = intrinsics_from(self.input, tracks)
+        with console.progress() as progress:
+            calibration = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
+        room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
+        sources = [path for path in (self.tracks, self.input.intrinsics, self.config) if path is not None]
+        return written(
+            calibration, out, room, sources=sources, detect_seconds=_detect_seconds(self.tracks), force=self.force
+        )
+
+
+def _detect_seconds(tracks: Path) -> float | None:
+    """How long `detect` took, where it left word beside the tracks."""
+    from jaxpoint.runs import read_json
+
+    summary = detection_summary(tracks)
+    if tracks.suffix != ".npz" or not summary.is_file():
+        return None
+    return read_json(summary).get("seconds")

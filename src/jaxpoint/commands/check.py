@@ -1,0 +1,103 @@
+"""`jaxpoint check`: is the recording good enough, without solving anything?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import intrinsics_from, tracks_from
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.config import InputSettings, RoomConfig
+from jaxpoint.errors import InsufficientDataError
+
+if TYPE_CHECKING:
+    from jaxpoint.calibration.result import PairTable
+    from jaxpoint.report.advice import Advice
+    from jaxpoint.tracks import Tracks
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check(SeededOptions):
+    """Say whether tracks suffice for a calibration: what the cameras share, cover, and whether they run in step.
+
+    jaxpoint check tracks.npz
+
+    Takes seconds and solves nothing. `--out` also writes the findings as a page.
+    """
+
+    tracks: Annotated[Path, tyro.conf.Positional]
+    """Tracks (.npz, .csv), or a folder with points.dat."""
+    input: Annotated[InputSettings, Inline] = field(default_factory=InputSettings)
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> Check:
+        """The command's defaults under a configuration file."""
+        return Check(tracks=tyro.MISSING, input=room.input, runtime=room.runtime)
+
+    def run(self, console: Console) -> Outcome:
+        """The pair table and what it means; data that does not suffice is a failure of the outcome."""
+        from jaxpoint.calibration.pairs import check_pairs, pair_table
+        from jaxpoint.report.advice import on_recording, on_synchrony, on_views
+
+        if self.out is not None:
+            from jaxpoint.runs import check_out
+
+            check_out(self.out, self.force)
+        tracks = tracks_from(self.tracks, self.input)
+        known = intrinsics_from(self.input, tracks) is not None
+        pairs, seen = pair_table(tracks), (tracks.pixels, tracks.visible)
+        advice = [
+            *on_recording(tracks.names, *seen, tracks.image_sizes, pairs.shared),
+            *on_views(tracks.visible),
+            *on_synchrony(tracks.names, *seen, tracks.frame_ids),
+        ]
+        failure = None
+        try:
+            check_pairs(tracks, pairs, known_intrinsics=known)
+        except InsufficientDataError as error:
+            failure = error
+        figures = {
+            "cameras": [
+                {"name": name, "frames": int(seen), "coverage": float(covered)}
+                for name, seen, covered in zip(pairs.names, pairs.seen, pairs.coverage)
+            ],
+            "frames": tracks.frames,
+            "shared": pairs.shared.tolist(),
+            "advice": [asdict(item) for item in advice],
+            "sufficient": failure is None,
+            "problem": None if failure is None else str(failure),
+        }
+        lines = _lines(pairs, tracks.frames, advice, failure is None)
+        if self.out is not None:
+            lines = (*lines, f"Report: {_keep(self.out, self.force, self.tracks, tracks, figures, self.seed)}")
+        return Outcome(figures, lines, failure)
+
+
+def _keep(out: Path, force: bool, source: Path, tracks: Tracks, figures: dict[str, Any], seed: int) -> Path:
+    from jaxpoint.report.html import write_tracks_report
+    from jaxpoint.runs import MARK, new_run, provenance, write_json
+
+    made = provenance("jaxpoint check", [source], seed)
+    with new_run(out, force) as folder:
+        write_json(folder / MARK, made)
+        write_json(folder / "check.json", figures)
+        write_tracks_report(folder / "report.html", tracks)
+    return out / "report.html"
+
+
+def _lines(pairs: PairTable, frames: int, advice: Sequence[Advice], sufficient: bool) -> tuple[str, ...]:
+    rows = [
+        (name, int(pairs.seen[i]), f"{pairs.coverage[i]:.0%}", *(int(n) if i != j else "" for j, n in enumerate(row)))
+        for i, (name, row) in enumerate(zip(pairs.names, pairs.shared))
+    ]
+    return (
+        f"{frames} frames; image covered, and frames shared by each two cameras:",
+        *table(("camera", "seen", "covered", *pairs.names), rows),
+        *(f"- {item.finding} {item.remedy}" for item in advice),
+        *(("Good enough to calibrate.",) if sufficient else ()),
+    )

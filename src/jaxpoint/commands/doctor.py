@@ -1,0 +1,35 @@
+"""`jaxpoint doctor`: can this machine run jaxpoint?"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+from jaxpoint.commands.console import Console
+from jaxpoint.commands.options import Outcome, SeededOptions
+from jaxpoint.config import RoomConfig
+from jaxpoint.errors import MissingDependencyError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Doctor(SeededOptions):
+    """Say what this machine has: versions, devices, float64, cameras, and how to get what is missing.
+
+    jaxpoint doctor
+    """
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> Doctor:
+        """The command's defaults under a configuration file."""
+        return Doctor(runtime=room.runtime)
+
+    def run(self, console: Console) -> Outcome:
+        """All findings; something needed that is missing is a failure of the outcome."""
+        from jaxpoint.doctor import examine
+
+        findings = examine()
+        wrong = [finding for finding in findings if not finding.good]
+        failure = None
+        if wrong:
+            failure = MissingDependencyError(f"{wrong[0].name}: {wrong[0].state}. Remedy: {wrong[0].remedy}")
+        lines = tuple(f"{f.name:<24}{f.state}" + (f"  ({f.remedy})" if f.remedy else "") for f in findings)
+        return Outcome({"good": not wrong, "findings": [asdict(f) for f in findings]}, lines, failure)

@@ -1,0 +1,67 @@
+"""What several commands read: tracks, known intrinsics, and how long the detection took."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxpoint.config import InputSettings, LensSettings
+from jaxpoint.errors import UsageError
+
+if TYPE_CHECKING:
+    from jaxpoint.camera.rig import CameraRig
+    from jaxpoint.tracks import Tracks
+
+
+def tracks_from(path: Path, settings: InputSettings) -> Tracks:
+    """The tracks of a command.
+
+    Raises:
+        FileFormatError: the file or folder is not what it should be.
+    """
+    from jaxpoint.io.tracks import read_tracks
+
+    return read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+
+
+def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None:
+    """Known lenses in the order of the tracks' cameras, or None where no file was given.
+
+    Raises:
+        FileFormatError: the file is not what it should be.
+        UsageError: a camera is missing in it, or has another image size there.
+    """
+    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.svoboda import read_rad_folder
+
+    path = settings.intrinsics
+    if path is None:
+        return None
+    if path.is_dir() and any(path.glob("*.rad")):
+        return read_rad_folder(path, tracks.image_sizes, tracks.names, settings.one_based)
+    rig = read_calibration(path).rig
+    missing = [name for name in tracks.names if name not in rig.names]
+    if missing:
+        raise UsageError(f"'{path}' has no camera '{missing[0]}'; it has {', '.join(rig.names)}.")
+    rig = rig.select([rig.names.index(name) for name in tracks.names])
+    for name, given, size in zip(tracks.names, rig.image_sizes.tolist(), tracks.image_sizes.tolist()):
+        if given != size:
+            raise UsageError(f"Camera '{name}' has images of {size} px, but '{path}' knows it with {given} px.")
+    return rig
+
+
+def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:
+    """Refuse known intrinsics without their use, and their use without them.
+
+    Raises:
+        UsageError: either.
+    """
+    if intrinsics is not None and lens.known == "none":
+        raise UsageError("With --intrinsics say what becomes of them: --lens.known hold, or --lens.known refine.")
+    if intrinsics is None and lens.known != "none":
+        raise UsageError(f"--lens.known {lens.known} needs a file of known intrinsics: --intrinsics FILE.")
+
+
+def detection_summary(tracks: Path) -> Path:
+    """Where `detect` writes how it went, beside the tracks."""
+    return tracks.with_suffix(".json")

@@ -1,0 +1,84 @@
+"""What `calibrate`, `align` and `demo` share: write the run, and say in a few lines how it went."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.commands.console import table
+from jaxpoint.commands.options import Outcome
+from jaxpoint.config import RoomConfig
+from jaxpoint.errors import QualityError
+from jaxpoint.metrics import judge
+from jaxpoint.runs import write_run
+
+
+def written(
+    calibration: Calibration,
+    out: Path,
+    room: RoomConfig,
+    *,
+    sources: Sequence[Path] = (),
+    detect_seconds: float | None = None,
+    force: bool = False,
+) -> Outcome:
+    """The run directory, and its outcome with the failure of the quality gate, if any."""
+    figures = write_run(
+        out,
+        calibration,
+        room,
+        command=shlex.join(["jaxpoint", *sys.argv[1:]]),
+        inputs=sources,
+        detect_seconds=detect_seconds,
+        force=force,
+    )
+    report = out / "report.html"
+    failure = judge(calibration, room.calibrate) or _alignment_failure(calibration, room)
+    return Outcome({**figures, "run": str(out), "report": str(report)}, _lines(calibration, figures, report), failure)
+
+
+def _alignment_failure(calibration: Calibration, room: RoomConfig) -> QualityError | None:
+    aligned = calibration.alignment
+    if aligned is None or aligned.rms_mm <= room.align.max_rms_mm:
+        return None
+    return QualityError(
+        f"The alignment leaves {aligned.rms_mm:.0f} mm (rms), above the {room.align.max_rms_mm:g} mm allowed; the "
+        "results are kept. The report shows which landmark disagrees."
+    )
+
+
+def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
+    errors, observations, frames = figures["reprojection"], figures["observations"], figures["frames"]
+    rows = [
+        (
+            camera["name"],
+            f"{camera['focal_px'][0]:.1f}",
+            " ".join(f"{value:.1f}" for value in camera["center_px"]),
+            f"{camera['distortion'][0]:+.3f}",
+            f"{camera['used']}/{camera['total']}",
+            "-" if mean is None else f"{mean:.3f}",
+        )
+        for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
+    ]
+    summary = (
+        f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
+        f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "
+        f"{figures['seconds']['total']:.1f} s"
+        if errors["mean_px"] is not None
+        else "no observation was kept"
+    )
+    aligned = calibration.alignment
+    in_room = (
+        ()
+        if aligned is None
+        else (
+            f"aligned by {aligned.method}: rms {aligned.rms_mm:.1f} mm, largest {aligned.max_mm:.1f} mm",
+            *aligned.warnings,
+        )
+    )
+    header = ("camera", "focal px", "centre px", "k1", "kept", "mean px")
+    return (*table(header, rows), summary, *in_room, f"Report: {report}")

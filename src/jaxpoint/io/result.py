@@ -1,0 +1,122 @@
+"""A whole `Calibration` in the files of a run: `calibration.json`, `tracks.npz`, and the rest in `result.npz`."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxpoint.calibration.alignment import Alignment
+from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.errors import FileFormatError
+from jaxpoint.geometry.pose import Similarity
+from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
+from jaxpoint.io.files import replacing
+from jaxpoint.io.tracks import load_tracks, save_tracks
+
+VERSION = 1
+ARRAYS = ("points", "point_valid", "residuals", "verdicts")
+
+
+def save_result(folder: Path, calibration: Calibration, provenance: dict[str, Any]) -> None:
+    """Write `calibration.json`, `tracks.npz` and `result.npz` into a folder."""
+    write_calibration_json(
+        folder / "calibration.json",
+        calibration.rig,
+        unit=calibration.unit,
+        covariance=calibration.camera_covariance,
+        provenance=provenance,
+    )
+    save_tracks(folder / "tracks.npz", calibration.tracks)
+    about = {
+        "version": VERSION,
+        "sigma_px": calibration.sigma_px,
+        "converged": bool(calibration.converged),
+        "message": calibration.message,
+        "seconds": calibration.seconds,
+        "seed": calibration.seed,
+        "pairs": asdict(calibration.pairs),
+        "stages": [asdict(stage) for stage in calibration.stages],
+        "alignment": None if calibration.alignment is None else _alignment_fields(calibration.alignment),
+    }
+    with replacing(folder / "result.npz") as file:
+        arrays = {name: np.asarray(getattr(calibration, name)) for name in ARRAYS}
+        np.savez_compressed(file, about=np.array(json.dumps(about, default=_plain)), **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def load_result(folder: Path) -> Calibration:
+    """The calibration that `save_result` wrote into a folder.
+
+    Raises:
+        FileFormatError: a file is missing, damaged, or of a later version.
+    """
+    saved = read_calibration_json(folder / "calibration.json")
+    tracks = load_tracks(folder / "tracks.npz")
+    path = folder / "result.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in ARRAYS}
+            about = json.loads(str(file["about"]))
+    except FileNotFoundError:
+        raise FileFormatError(f"There is no file {path}; give the folder of a run of `calibrate`.") from None
+    except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
+        raise FileFormatError(f"{path} is damaged ({error}); calibrate again.") from None
+    if about["version"] != VERSION:
+        raise FileFormatError(f"{path} has version {about['version']}, this jaxpoint reads {VERSION}; update jaxpoint.")
+    return Calibration(
+        rig=saved.rig,
+        tracks=tracks,
+        **arrays,
+        sigma_px=about["sigma_px"],
+        converged=about["converged"],
+        message=about["message"],
+        pairs=_pairs(about["pairs"]),
+        stages=tuple(Stage(**stage) for stage in about["stages"]),
+        seconds=about["seconds"],
+        unit=saved.unit,
+        alignment=None if about["alignment"] is None else _alignment(about["alignment"]),
+        camera_covariance=saved.covariance,
+        seed=about["seed"],
+    )
+
+
+def _pairs(fields: dict[str, Any]) -> PairTable:
+    inliers = fields["inliers"]
+    return PairTable(
+        tuple(fields["names"]),
+        np.array(fields["seen"]),
+        np.array(fields["shared"]),
+        np.array(fields["coverage"]),
+        None if inliers is None else np.array(inliers),
+    )
+
+
+def _alignment_fields(alignment: Alignment) -> dict[str, Any]:
+    similarity = alignment.similarity
+    fields = vars(alignment) | {
+        "similarity": {name: getattr(similarity, name) for name in ("scale", "rotation", "translation")}
+    }
+    return fields
+
+
+def _alignment(fields: dict[str, Any]) -> Alignment:
+    similarity = {name: np.array(value) for name, value in fields["similarity"].items()}
+    return Alignment(
+        **fields
+        | {
+            "similarity": Similarity(**similarity),
+            "names": tuple(fields["names"]),
+            "residual_mm": np.array(fields["residual_mm"]),
+            "leave_one_out_mm": tuple(fields["leave_one_out_mm"]),
+            "warnings": tuple(fields["warnings"]),
+        }
+    )
+
+
+def _plain(value: Any) -> Any:
+    """What JSON does not know: arrays and scalars of numpy and JAX."""
+    return np.asarray(value).tolist()

@@ -1,0 +1,245 @@
+"""A run directory: all that a calibration was made from and gave, written whole or not at all.
+
+`config.toml` the resolved settings, `provenance.json` versions, seed and hashes of the input, `metrics.json`,
+`calibration.json` and `calibration.toml`, `tracks.npz`, `result.npz` (with the two before, all that `read_run` needs),
+`report.html`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from itertools import chain, count
+from pathlib import Path
+from typing import Any
+
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.config import RoomConfig, load_config, to_toml
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.io.calibration import write_calibration_toml
+from jaxpoint.io.result import load_result, save_result
+from jaxpoint.metrics import judge, metrics
+from jaxpoint.report.html import write_report
+
+MARK = "provenance.json"  # the file by which a folder is known as a run
+PACKAGES = ("jaxpoint", "jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy", "opencv-python-headless")
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C after something was finished; the message says where it lies."""
+
+
+@contextmanager
+def new_run(out: Path, force: bool = False) -> Iterator[Path]:
+    """A temporary folder beside `out` that takes its name when the block ends well.
+
+    When the block fails the folder vanishes and `out` stays as it was. When it is interrupted what was written stays
+    in `<out>.unfinished`. An earlier run in `out` is replaced with `force`, and only at the very end.
+
+    Raises:
+        UsageError: `out` is a file, cannot be written, or is a folder that is not empty (with `force`: and is not an
+            earlier run).
+        Interrupted: Ctrl-C, where something had been written.
+    """
+    out = Path(out).absolute()
+    check_out(out, force)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        beside = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    except OSError as error:
+        raise UsageError(f"Nothing can be written at '{out}' ({error.strerror}); choose another --out.") from None
+    try:
+        beside.chmod(0o777 & ~_umask())
+        yield beside
+        _take_place(beside, out)
+    except KeyboardInterrupt:
+        if any(beside.iterdir()):
+            unfinished = _unused(out.with_name(f"{out.name}.unfinished"))
+            beside.rename(unfinished)
+            raise Interrupted(f"what was finished lies in {unfinished}") from None
+        raise
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+
+
+def check_out(out: Path, force: bool = False) -> None:
+    """Refuse an output folder before any work is done.
+
+    Raises:
+        UsageError: as in `new_run`.
+    """
+    if out.is_file():
+        raise UsageError(f"'{out}' is a file; --out must name a folder.")
+    if not out.is_dir() or not any(out.iterdir()):
+        return
+    if not force:
+        raise UsageError(f"The folder '{out}' is not empty; choose another --out, or replace the run in it by --force.")
+    if not (out / MARK).is_file():
+        raise UsageError(
+            f"The folder '{out}' is not empty and holds no run of jaxpoint, so --force does not touch it; "
+            "choose another --out."
+        )
+
+
+def _take_place(beside: Path, out: Path) -> None:
+    """Rename `beside` to `out`; what was there is deleted only after that."""
+    if not out.exists():
+        beside.rename(out)
+        return
+    old = Path(tempfile.mkdtemp(prefix=f".{out.name}.old.", dir=out.parent))
+    out.rename(old / "run")
+    try:
+        beside.rename(out)
+    except BaseException:
+        (old / "run").rename(out)
+        raise
+    finally:
+        if out.exists():
+            shutil.rmtree(old, ignore_errors=True)
+
+
+def _unused(path: Path) -> Path:
+    """The path, or the first of path-2, path-3, ... that does not exist."""
+    names = (path.with_name(f"{path.name}-{i}") for i in count(2))
+    return next(name for name in chain([path], names) if not name.exists())
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run directory that was read."""
+
+    folder: Path
+    calibration: Calibration
+    config: RoomConfig
+    metrics: dict[str, Any]
+
+
+def write_run(
+    out: Path,
+    calibration: Calibration,
+    config: RoomConfig,
+    *,
+    command: str,
+    inputs: Sequence[Path] = (),
+    detect_seconds: float | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Write a run directory, whole or not at all, and return what its `metrics.json` holds.
+
+    Args:
+        command: the command line, for the record.
+        inputs: files and folders whose hashes are recorded.
+
+    Raises:
+        UsageError: `out` cannot be used, see `new_run`.
+    """
+    figures = metrics(calibration, detect_seconds)
+    failure = judge(calibration, config.calibrate)
+    figures["passed"], figures["failure"] = failure is None, None if failure is None else str(failure)
+    made = provenance(command, inputs, calibration.seed)
+    with new_run(out, force) as folder:
+        write_json(folder / MARK, made)
+        (folder / "config.toml").write_text(to_toml(config), encoding="utf-8")
+        write_json(folder / "metrics.json", figures)
+        save_result(folder, calibration, made)
+        write_calibration_toml(
+            folder / "calibration.toml",
+            calibration.rig,
+            unit=calibration.unit,
+            metadata={"error": figures["reprojection"]["mean_px"] or 0.0},
+        )
+        write_report(
+            folder / "report.html",
+            calibration,
+            settings=config.calibrate,
+            metrics=figures,
+            config_text=to_toml(config),
+            provenance=made,
+        )
+    return figures
+
+
+def read_run(folder: Path | str) -> Run:
+    """A run directory written by `calibrate`, `align` or `demo`.
+
+    Raises:
+        FileFormatError: a file is missing or damaged.
+        UsageError: its `config.toml` holds an unknown key.
+    """
+    folder = Path(folder)
+    figures = read_json(folder / "metrics.json")
+    return Run(folder, load_result(folder), load_config(folder / "config.toml"), figures)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Strict JSON (no NaN), indented.
+
+    Raises:
+        ValueError: a number is NaN or infinite.
+    """
+    path.write_text(json.dumps(value, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file of a run.
+
+    Raises:
+        FileFormatError: it is missing or is not JSON.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise FileFormatError(f"'{path.parent}' has no {path.name}; give the folder of a run of `calibrate`.") from None
+    except ValueError as error:
+        raise FileFormatError(f"'{path}' is not JSON: {error}.") from None
+
+
+def provenance(command: str, inputs: Sequence[Path], seed: int) -> dict[str, Any]:
+    """What the run was made with: versions, seed, time, and the SHA-256 of every input file."""
+    return {
+        "command": command,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "seed": seed,
+        "versions": versions(),
+        "platform": platform.platform(),
+        "inputs": {str(file): _sha256(file) for path in inputs for file in _files(path)},
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that results depend on."""
+    found = {"python": platform.python_version()}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _files(path: Path) -> list[Path]:
+    """The file itself, or the data files directly in a folder (pictures are left out: tracks are made from them)."""
+    if path.is_file():
+        return [path]
+    wanted = {".dat", ".rad", ".txt", ".csv", ".toml", ".json", ".npz"}
+    return sorted(file for file in path.iterdir() if file.suffix in wanted and file.is_file())
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
