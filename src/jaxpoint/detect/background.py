@@ -1,0 +1,63 @@
+"""What a fixed camera sees without the light: a level and a deviation for every pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float32, UInt8
+
+DEVIATION_FLOOR = 1.0  # grey levels: 8-bit images cannot tell less
+MAD_TO_SIGMA = 1.4826  # of a normal distribution
+
+
+@dataclass(frozen=True)
+class Background:
+    """Level and standard deviation of one channel, grey levels."""
+
+    level: Float32[np.ndarray, "H W"]
+    deviation: Float32[np.ndarray, "H W"]  # at least 1
+
+
+def mean_background(frames: Iterable[UInt8[np.ndarray, "H W"]]) -> Background:
+    """Mean and standard deviation over all frames in one pass (Welford); thesis 5.3.1.
+
+    The light itself inflates the deviation where it went slowly, which is why the median is the default.
+
+    Raises:
+        ValueError: no frames.
+    """
+    count, mean, squares = 0, np.float32(0), np.float32(0)
+    for frame in frames:
+        count += 1
+        delta = frame - mean
+        mean = mean + delta / np.float32(count)
+        squares = squares + delta * (frame - mean)
+    if not count:
+        raise ValueError("A background needs at least one frame.")
+    return Background(mean, np.maximum(np.sqrt(squares / np.float32(count)), np.float32(DEVIATION_FLOOR)))
+
+
+def median_background(frames: UInt8[np.ndarray, "N H W"]) -> Background:
+    """Median and scaled median absolute deviation over N frames spread over the recording.
+
+    Raises:
+        ValueError: no frames.
+    """
+    if not len(frames):
+        raise ValueError("A background needs at least one frame.")
+    level = np.empty(frames.shape[1:], dtype=np.float32)
+    deviation = np.empty_like(level)
+    for row in range(frames.shape[1]):  # a row at a time stays in cache
+        values = np.ascontiguousarray(frames[:, row].T)  # W N
+        middle = _lower_median(values)
+        distance = np.maximum(values, middle[:, None]) - np.minimum(values, middle[:, None])
+        level[row] = middle
+        deviation[row] = MAD_TO_SIGMA * _lower_median(distance).astype(np.float32)
+    return Background(level, np.maximum(deviation, np.float32(DEVIATION_FLOOR)))
+
+
+def _lower_median(values: UInt8[np.ndarray, "W N"]) -> UInt8[np.ndarray, " W"]:
+    middle = (values.shape[1] - 1) // 2
+    return np.partition(values, middle, axis=1)[:, middle]

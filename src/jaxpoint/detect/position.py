@@ -1,0 +1,104 @@
+"""From the pixels around the blobs of one camera to sub-pixel positions, or the reasons against them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+from jaxpoint.config import LedSettings
+from jaxpoint.detect.blob import Blob, Reason
+from jaxpoint.detect.gaussian import correlate_template, fit_gaussians
+
+SATURATED = 250  # grey levels
+MIN_SIGNIFICANCE = 8.0  # amplitudes; noise peaks reach 5 somewhere in an image, but in one pixel only
+MIN_RADIUS = 0.35  # px; sharper spots are single hot pixels
+MIN_BRIGHTNESS = 0.125  # of the recording's median light; fainter spots are its reflections
+TEMPLATE_SCALE = 5  # places per pixel of the thesis's search
+CHUNK = 512  # spots fitted at a time, to bound memory
+
+
+@dataclass(frozen=True)
+class Spots:
+    """What was cut out around the N blobs of a camera, S x S px each."""
+
+    pixel: Int[np.ndarray, "N 2"]  # px (x, y) of the brightest pixel, in the middle of its patch
+    patches: Float32[np.ndarray, "N S S"]  # grey levels minus background
+    usable: Bool[np.ndarray, "N S S"]  # inside the image and not saturated
+    noise: Float[np.ndarray, " N"]  # grey levels, deviation of the background there
+
+
+@dataclass(frozen=True)
+class Positions:
+    """Sub-pixel positions of N spots; what is not `Reason.FOUND` is not the light."""
+
+    pixels: Float[np.ndarray, "N 2"]  # px
+    covariance: Float[np.ndarray, "N 2 2"]  # px^2
+    reasons: Int[np.ndarray, " N"]  # values of `Reason`
+    brightness: Float[np.ndarray, " N"]  # grey levels above the background
+    radius: Float[np.ndarray, " N"]  # px, standard deviation of the spot; 0 with the thesis method
+
+
+def half_window(settings: LedSettings) -> int:
+    """Half the width of a patch: 2.7 standard deviations where the light's radius is two of them."""
+    return max(3, round(4 * settings.led_radius_px / 3))
+
+
+def cut_patch(
+    image: UInt8[np.ndarray, "H W"], level: Float32[np.ndarray, "H W"], blob: Blob, half: int
+) -> tuple[Float32[np.ndarray, "S S"], Bool[np.ndarray, "S S"]]:
+    """Grey levels minus background around a blob, and which of them are usable."""
+    patch = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
+    usable = np.zeros(patch.shape, dtype=bool)
+    top, left = max(blob.y - half, 0), max(blob.x - half, 0)
+    source = np.s_[top : blob.y + half + 1, left : blob.x + half + 1]
+    rows, columns = image[source].shape
+    target = np.s_[top - blob.y + half :, left - blob.x + half :]
+    patch[target][:rows, :columns] = image[source] - level[source]
+    usable[target][:rows, :columns] = image[source] < SATURATED
+    return patch, usable
+
+
+def fit_positions(spots: Spots, settings: LedSettings) -> Positions:
+    """Default: a Gaussian fitted to every spot, and only spots like the light of the recording are believed.
+
+    UNLIKE are fits that fail, are wider than the light, sharper than optics allow, or much fainter than the other
+    lights of this camera: noise, a moving person, a reflection while the light is hidden. BLURRED are elongated ones.
+    """
+    count = len(spots.pixel)
+    fits = [
+        fit_gaussians(spots.patches[at : at + CHUNK], spots.usable[at : at + CHUNK], spots.noise[at : at + CHUNK])
+        for at in range(0, max(count, 1), CHUNK)
+    ]
+    center = np.concatenate([fit.center for fit in fits])
+    radii = np.concatenate([fit.radii for fit in fits])
+    amplitude = np.concatenate([fit.amplitude for fit in fits])
+    point_like = (
+        np.concatenate([fit.converged for fit in fits])
+        & (np.concatenate([fit.significance for fit in fits]) >= MIN_SIGNIFICANCE)
+        & (radii[:, 1] >= MIN_RADIUS)
+        & (radii[:, 1] <= settings.led_radius_px)
+        & (np.hypot(*center.T) <= settings.led_radius_px)
+    )
+    blurred = point_like & (np.sqrt(1 - (radii[:, 1] / radii[:, 0]) ** 2) > settings.max_eccentricity)
+    alike = point_like & ~blurred & (radii[:, 0] <= settings.led_radius_px)
+    if alike.any():
+        alike &= amplitude >= MIN_BRIGHTNESS * np.median(amplitude[alike])
+    reasons = np.where(alike, Reason.FOUND, np.where(blurred, Reason.BLURRED, Reason.UNLIKE))
+    covariance = np.concatenate([fit.covariance for fit in fits])
+    return Positions(spots.pixel + center, covariance, reasons, amplitude, np.sqrt(radii.prod(axis=1)))
+
+
+def match_positions(spots: Spots, settings: LedSettings) -> Positions:
+    """Thesis 5.3.1: the best place of a Gaussian template; the covariance is that of its grid alone."""
+    patches = np.maximum(spots.patches, 0)
+    center = [correlate_template(patch, settings.led_radius_px / 2, TEMPLATE_SCALE) for patch in patches]
+    count, half = len(patches), patches.shape[-1] // 2
+    return Positions(
+        pixels=spots.pixel + np.reshape(center, (count, 2)),
+        covariance=np.tile(np.eye(2) / (12 * TEMPLATE_SCALE**2), (count, 1, 1)),
+        reasons=np.full(count, Reason.FOUND),
+        brightness=patches[:, half, half],
+        radius=np.zeros(count),
+    )
