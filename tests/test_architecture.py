@@ -1,0 +1,111 @@
+"""The tree is the architecture: who may import whom, and what importing the package may do."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import jaxpoint
+import pytest
+
+ROOT = Path(jaxpoint.__file__).parent
+LAYERS = (
+    ("errors",),
+    ("config",),
+    ("geometry",),
+    ("camera",),
+    ("tracks",),
+    ("epipolar", "triangulation"),
+    ("calibration",),
+    ("landmarks", "metrics"),
+    ("validation",),
+    ("detect", "io", "report", "simulate"),
+    ("doctor", "runs"),
+    ("commands",),
+    ("cli",),
+)
+RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
+USES_OPENCV = {"detect", "io", "report"}
+
+
+def modules() -> list[Path]:
+    return sorted(path for path in ROOT.rglob("*.py") if path != ROOT / "__init__.py")
+
+
+def layer(path: Path) -> str:
+    return path.relative_to(ROOT).parts[0].removesuffix(".py")
+
+
+def imported(path: Path) -> set[str]:
+    """Dotted names of everything a file imports, anywhere in it."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: write imports in full."
+            names |= {node.module or ""} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_point_one_way(path):
+    assert layer(path) in RANK, f"Give '{layer(path)}' its place in LAYERS."
+    for name in imported(path):
+        parts = name.split(".")
+        if parts[0] == "jaxpoint" and len(parts) > 1 and parts[1] in RANK:
+            assert RANK[parts[1]] <= RANK[layer(path)], f"{path.name} must not import {name}."
+
+
+def test_opencv_stays_at_the_edge():
+    users = {layer(path) for path in modules() if any(name.split(".")[0] == "cv2" for name in imported(path))}
+    assert users <= USES_OPENCV
+    assert users, "The guard looks for the wrong name."
+
+
+def test_library_does_not_print():
+    for path in modules():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            is_print = isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "print"
+            assert not is_print, f"{path}, line {node.lineno}: use a callback or logging."
+
+
+def run_python(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["detect", "--help"], ["doctor", "--help"]])
+def test_help_imports_nothing_heavy(arguments):
+    code = f"""
+import sys
+from jaxpoint.cli import main
+try:
+    main({arguments})
+except SystemExit as stop:
+    assert stop.code == 0
+heavy = [name for name in ("jax", "numpy", "cv2", "matplotlib", "equinox") if name in sys.modules]
+assert not heavy, heavy
+"""
+    assert "jaxpoint" in run_python(code)
+
+
+def test_import_flips_no_jax_flag():
+    code = """
+import pkgutil, importlib
+import jax
+before = dict(jax.config.values)
+import jaxpoint
+for module in pkgutil.walk_packages(jaxpoint.__path__, "jaxpoint."):
+    importlib.import_module(module.name)
+changed = {key for key, value in jax.config.values.items() if before.get(key) != value}
+print(sorted(changed))
+"""
+    assert run_python(code).strip() == "[]"
+
+
+def test_every_public_name_exists_and_is_documented():
+    for name in jaxpoint.__all__:
+        assert getattr(jaxpoint, name).__doc__, name
+    assert set(jaxpoint.__all__) == set(jaxpoint._HOMES)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        jaxpoint.nothing  # noqa: B018

@@ -1,0 +1,67 @@
+"""Settings: strict TOML files, ranges, and the round trip."""
+
+from pathlib import Path
+
+import pytest
+from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig, checked, load_config, to_toml
+from jaxpoint.errors import UsageError
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "room.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_what_is_written_is_read_back(tmp_path):
+    room = RoomConfig(calibrate=CalibrateSettings(seed=7, lens=LensSettings(distortion="brown")))
+    assert load_config(written(tmp_path, to_toml(room))) == room
+
+
+def test_an_empty_file_is_all_defaults(tmp_path):
+    assert load_config(written(tmp_path, "")) == RoomConfig()
+
+
+def test_paths_count_from_the_file_and_are_written_absolute(tmp_path, monkeypatch):
+    room = load_config(written(tmp_path, '[align]\nlandmarks = "known/landmarks.csv"'))
+    assert room.align.landmarks == tmp_path / "known/landmarks.csv"
+    monkeypatch.chdir(tmp_path)
+    elsewhere = load_config(written(tmp_path, to_toml(RoomConfig(align=type(room.align)(landmarks=Path("a.csv"))))))
+    assert elsewhere.align.landmarks == tmp_path / "a.csv"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[calibrate.lens]\ndistorsion = 'none'", "unknown key 'calibrate.lens.distorsion'; did you mean 'distortion'"),
+        ("[colour]\nx = 1", "unknown key 'colour'; known here: input, detect, calibrate"),
+        ("[calibrate]\nheld_out = 2.0", "'calibrate.held_out' cannot be used: Expected `float` <= 1.0"),
+        ("[calibrate]\nmax_mean_px = nan", "'calibrate.max_mean_px' cannot be used"),
+        ("[calibrate]\nseed = 'one'", "'calibrate.seed' cannot be used: Expected `int`, got `str`"),
+        ("[calibrate.lens]\ndistortion = 'fisheye'", "'calibrate.lens.distortion' cannot be used"),
+        ("[align]\nlandmarks = 3", "'align.landmarks' cannot be used: expected a path in quotes"),
+        ("calibrate = 3", "'calibrate' cannot be used"),
+        ("[calibrate", "cannot be read as TOML"),
+    ],
+)
+def test_a_bad_file_is_refused_by_the_path_of_its_key(tmp_path, text, message):
+    with pytest.raises(UsageError) as caught:
+        load_config(written(tmp_path, text))
+    assert message in str(caught.value)
+    assert "room.toml" in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(UsageError, match="There is no configuration file"):
+        load_config(tmp_path / "nothing.toml")
+
+
+def test_settings_made_in_python_are_held_to_the_same_ranges():
+    assert checked(CalibrateSettings()) == CalibrateSettings()
+    with pytest.raises(UsageError, match="'lens.principal_point_sigma'"):
+        checked(CalibrateSettings(lens=LensSettings(principal_point_sigma=-1.0)))
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[1] / "configs").glob("*.toml")), ids=lambda p: p.name)
+def test_the_configs_that_are_shipped_can_be_read(path):
+    load_config(path)
