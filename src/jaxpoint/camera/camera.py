@@ -6,11 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.camera.distortion import AbstractDistortion
+from jaxpoint.camera.distortion import AbstractDistortion, Brown
 from jaxpoint.geometry import rotation as so3
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 from jaxpoint.geometry.line import Ray, normalised
 from jaxpoint.geometry.pose import Pose
+
+PARAMETERS = 15  # of a camera with a Brown lens, in the order of `Camera.perturbed`
 
 
 class Camera(eqx.Module):
@@ -70,6 +72,25 @@ class Camera(eqx.Module):
         x, y = ideal[..., 0], ideal[..., 1]
         direction = so3.rotate(self.cam_from_world.rotation.T, normalised(stack_last(x, y, jnp.ones_like(x))))
         return Ray(jnp.broadcast_to(self.position, direction.shape), direction)
+
+    def perturbed(self, change: Float[AnyArray, "15"]) -> Camera:
+        """This camera with its 15 numbers changed a little; covariances of cameras are in this order.
+
+        A rotation vector w (rad) that acts from the left, R -> exp(w) R; then added: translation (3, m), fx, fy, cx,
+        cy (px), k1, k2, p1, p2, k3.
+
+        Raises:
+            ValueError: the lens is not a `Brown`.
+        """
+        if not isinstance(self.distortion, Brown):
+            raise ValueError(f"A camera has 15 numbers only with a Brown lens, and this one's is {self.distortion}.")
+        change, pose = as_float(change), self.cam_from_world
+        return Camera(
+            self.focal + change[6:8],
+            self.center + change[8:10],
+            Brown(self.distortion.coefficients + change[10:15]),
+            Pose(so3.rotate(so3.exp(change[:3]), pose.rotation.T).T, pose.translation + change[3:6]),
+        )
 
     def to_pixel(self, xy: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """Pixel of a place on the z = 1 plane that the lens has already distorted."""

@@ -130,8 +130,8 @@ class CameraRig(eqx.Module):
         if not index or len(set(index)) != len(index):
             raise ValueError(f"A rig needs at least one camera and each once, not {index}.")
         chosen = jnp.asarray(index)
-        cameras = jax.tree.map(lambda leaf: leaf[chosen], self.cameras)
-        return CameraRig(cameras, self.image_sizes[chosen], tuple(self.names[i] for i in index))
+        kept = jax.tree.map(lambda leaf: leaf[chosen], self.cameras)
+        return CameraRig(kept, self.image_sizes[chosen], tuple(self.names[i] for i in index))
 
 
 def _camera(focal: Array, center: Array, distortion: Array, rotation: Array, translation: Array) -> Camera:
