@@ -4,7 +4,12 @@ import os
 from pathlib import Path
 
 import jax
+import numpy as np
 import pytest
+from jaxpoint.calibration.pairs import pair_table
+from jaxpoint.calibration.result import Calibration, Stage, Verdict
+from jaxpoint.simulate.known import known_in
+from jaxpoint.simulate.rooms import random_room
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
@@ -19,3 +24,30 @@ def data_folder() -> Path:
     folder = Path(value)
     assert folder.is_dir(), f"JAXPOINT_DATA names {folder}, which is not a folder."
     return folder
+
+
+@pytest.fixture(scope="session")
+def solved_room():
+    """A small simulated room with its true calibration, as if solved, and what was measured in it."""
+    room = random_room(3, cameras=4, frames=80, layout="around", visibility=0.9, outliers=0.03, noise_px=0.3)
+    tracks, rig = room.tracks, room.rig
+    residuals = np.where(tracks.visible[..., None], np.asarray(rig.project(room.points)) - tracks.pixels, 0.0)
+    verdicts = np.where(room.is_outlier, Verdict.REPROJECTION, Verdict.KEPT)
+    point_valid = tracks.visible.sum(axis=1) >= 2
+    verdicts = np.where(point_valid[:, None], verdicts, Verdict.FEW_VIEWS)
+    verdicts = np.where(tracks.visible, verdicts, Verdict.HIDDEN)
+    calibration = Calibration(
+        rig=rig,
+        tracks=tracks,
+        points=room.points,
+        point_valid=point_valid,
+        residuals=residuals,
+        verdicts=verdicts,
+        sigma_px=0.3,
+        converged=True,
+        message="the truth of a simulation",
+        pairs=pair_table(tracks),
+        stages=(Stage("truth", {"cost": 1.0}),),
+        seconds={"init": 0.5, "adjust": 1.5, "total": 2.0},
+    )
+    return known_in(room, 0), calibration
