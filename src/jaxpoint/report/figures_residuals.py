@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, small_multiples
+from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, round_number, small_multiples
 from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean_of_best
 
 _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
@@ -39,7 +39,7 @@ def vector_field(summary: Summary) -> Figure:
         kept = summary.kept[:, camera]
         start, residual = summary.pixels[kept, camera], summary.residuals[kept, camera]
         size = summary.sizes[camera]
-        zoom = _round_number(0.02 * size[0] / typical)
+        zoom = round_number(0.02 * size[0] / typical)
         ax.add_collection(
             LineCollection(
                 np.stack([start, start + zoom * residual], 1), colors="#3b82d0", linewidths=0.5, alpha=0.7,
@@ -182,9 +182,3 @@ def _at_most(count: int, limit: int) -> np.ndarray:
 def _thinned(x: np.ndarray, y: np.ndarray, limit: int = 300) -> tuple[np.ndarray, np.ndarray]:
     chosen = _at_most(len(x), limit)
     return x[chosen], y[chosen]
-
-
-def _round_number(value: float) -> float:
-    """The nearest of 1, 2, 5, 10, 20, ... not above `value`."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))

@@ -117,3 +117,9 @@ def to_data_uri(image: np.ndarray) -> str:
     buffer = io.BytesIO()
     Image.fromarray(np.clip(np.asarray(image), 0, 255).astype(np.uint8)).save(buffer, "JPEG", quality=90, subsampling=0)
     return "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")
+
+
+def round_number(value: float) -> float:
+    """The nearest of 1, 2, 5, 10, 20, ... not above `value`."""
+    power = 10.0 ** np.floor(np.log10(value))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= value * (1 + 1e-9)))

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from jaxpoint.calibration.alignment import Alignment
-from jaxpoint.calibration.result import Calibration
+from jaxpoint.calibration.pairs import MIN_FRAMES
+from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.report.advice import ENOUGH_COVERAGE, ENOUGH_SHARED, Advice
 from jaxpoint.report.summary import Summary, image_coverage, mean
+from jaxpoint.tracks import Tracks
 
 Level = Literal["good", "care", "bad"]
 
@@ -95,24 +98,46 @@ def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
     kept = summary.kept.sum(axis=0) / seen
     means = np.array([mean(summary.errors[summary.kept[:, c], c]) for c in range(len(names))])
     worst, fewest = int(np.argmax(np.nan_to_num(means, nan=np.inf))), int(kept.argmin())
-    partners = summary.shared.copy()
-    np.fill_diagonal(partners, 0)
-    second = np.sort(partners, axis=1)[:, -min(2, max(len(names) - 1, 1))]
-    alone = int(second.argmin())
-    covered = (image_coverage(summary.pixels, summary.visible, summary.sizes) > 0).mean(axis=(1, 2))
-    narrow = int(covered.argmin())
     limit = settings.max_mean_px
-    others = "two others" if len(names) > 2 else "the other"
     return [
         Check("Worst camera", f"{names[worst]}, {means[worst]:.3f} px", f"at most {limit:g} px",
               "good" if means[worst] <= limit else "care"),
         Check("Camera with the fewest kept", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
               "good" if kept[fewest] >= settings.min_kept else "care"),
-        Check(f"Least connected camera, frames shared with {others}", f"{names[alone]}, {second[alone]}",
-              f"at least {ENOUGH_SHARED}", "good" if second[alone] >= ENOUGH_SHARED else "care"),
-        Check("Least covered image", f"{names[narrow]}, {covered[narrow]:.0%}", f"at least {ENOUGH_COVERAGE:.0%}",
-              "good" if covered[narrow] >= ENOUGH_COVERAGE else "care"),
+        *_connections(names, summary.shared),
+        *_coverage(names, summary.pixels, summary.visible, summary.sizes),
     ]  # fmt: skip
+
+
+def _connections(names: Sequence[str], shared: np.ndarray) -> list[Check]:
+    """The camera that shares fewest frames with its second best partner (with its only one in a rig of two)."""
+    partners = shared.copy()
+    np.fill_diagonal(partners, 0)
+    second = np.sort(partners, axis=1)[:, -min(2, max(len(names) - 1, 1))]
+    alone = int(second.argmin())
+    others = "two others" if len(names) > 2 else "the other"
+    return [
+        Check(
+            f"Least connected camera, frames shared with {others}",
+            f"{names[alone]}, {second[alone]:,}",
+            f"at least {ENOUGH_SHARED}",
+            "good" if second[alone] >= ENOUGH_SHARED else "care",
+        )
+    ]
+
+
+def _coverage(names: Sequence[str], pixels: np.ndarray, visible: np.ndarray, sizes: np.ndarray) -> list[Check]:
+    """The camera whose light visited the fewest cells of its image."""
+    covered = (image_coverage(pixels, visible, sizes) > 0).mean(axis=(1, 2))
+    narrow = int(covered.argmin())
+    return [
+        Check(
+            "Least covered image",
+            f"{names[narrow]}, {covered[narrow]:.0%}",
+            f"at least {ENOUGH_COVERAGE:.0%}",
+            "good" if covered[narrow] >= ENOUGH_COVERAGE else "care",
+        )
+    ]
 
 
 def _alignment(alignment: Alignment, settings: AlignSettings) -> list[Check]:
@@ -131,3 +156,29 @@ def _alignment(alignment: Alignment, settings: AlignSettings) -> list[Check]:
             "good" if verified else "care",
         ),
     ]
+
+
+def judge_tracks(tracks: Tracks, pairs: PairTable, advice: list[Advice], problem: str | None) -> Judgement:
+    """Whether tracks are worth calibrating, before anything is solved.
+
+    Args:
+        problem: why they cannot be calibrated, where that is already known.
+    """
+    names = tracks.names
+    usable = int((tracks.visible.sum(axis=1) >= 2).sum())
+    checks = [
+        Check("Frames seen by two or more cameras", f"{usable:,}", f"at least {MIN_FRAMES}",
+              "good" if usable >= MIN_FRAMES else "bad"),
+        *_connections(names, pairs.shared),
+        *_coverage(names, tracks.pixels, tracks.visible, tracks.image_sizes),
+    ]  # fmt: skip
+    if problem or checks[0].level == "bad":
+        sentence = problem or f"Only {usable} frames are seen by two or more cameras; {MIN_FRAMES} are needed."
+        return Judgement("bad", "Not enough to calibrate", sentence, checks)
+    urgent = [item.finding for item in advice if item.urgent]
+    doubtful = [f"{check.what}: {check.found}." for check in checks if check.level != "good"]
+    if urgent or doubtful:
+        sentence = f"It can be tried, but look at this first: {(urgent + doubtful)[0]}"
+        return Judgement("care", "Enough to try, with care", sentence, checks)
+    sentence = f"{usable:,} frames are seen by two or more cameras, and every camera is connected to the others."
+    return Judgement("good", "Ready to calibrate", sentence, checks)

@@ -1,0 +1,186 @@
+"""The tables of the report: numbers made into text, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxpoint.calibration.result import PairTable, Stage, Verdict
+from jaxpoint.report.advice import ENOUGH_SHARED
+from jaxpoint.report.summary import BEST, Summary, mean, mean_of_best, worst_outliers
+
+_REASONS = {
+    Verdict.REPROJECTION: "too far from where the other cameras say the light is",
+    Verdict.BEHIND: "its point lies behind the camera",
+    Verdict.UNDECIDED: "the views contradict each other and too few agree to say which is wrong",
+}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text, ready to be shown; the first cell of a row is its head."""
+
+    header: list[str]
+    rows: list[list[str]]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a matrix: its text, how strongly it is coloured (0..1), and a class of the style sheet."""
+
+    text: str
+    heat: float = 0.0
+    small: str = ""
+    kind: str = ""
+    hint: str = ""
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """A table of every camera against every other."""
+
+    names: Sequence[str]
+    rows: list[list[Cell]]
+    inliers: bool = field(default=False)
+
+
+def camera_table(summary: Summary, coefficients: Sequence[Sequence[float]]) -> Table:
+    """One row a camera: what it saw, how well it fits, its lens and its place.
+
+    Args:
+        coefficients: distortion of each camera, in OpenCV's order.
+    """
+    unit = "m" if summary.scene.unit == "m" else "solver's unit"
+    header = [
+        "Camera", "Image", "Seen", "Kept", "Mean\nof kept", "95 %\nbelow", "Mean\nof all", "Focal length",
+        "Principal point", "View\nacross", f"Position, {unit}", "Distortion",
+    ]  # fmt: skip
+    rows = []
+    for c, name in enumerate(summary.names):
+        kept, judged = summary.kept[:, c], summary.judged[:, c]
+        errors = summary.errors[:, c]
+        seen = int(summary.visible[:, c].sum())
+        fx, fy = summary.focal[c]
+        angle = np.rad2deg(2 * np.arctan(summary.sizes[c, 0] / 2 / fx))
+        rows.append([
+            name,
+            "{} × {}".format(*summary.sizes[c]),
+            f"{seen:,}",
+            f"{kept.sum() / max(seen, 1):.1%}",
+            _px(mean(errors[kept])),
+            _px(float(np.quantile(errors[kept], 0.95)) if kept.any() else float("nan")),
+            _px(mean(errors[judged])),
+            f"{fx:.1f}" if abs(fx - fy) < 1e-9 * fx else f"{fx:.1f}, {fy:.1f}",
+            "{:.1f}, {:.1f}".format(*summary.center[c]),
+            f"{angle:.0f}°",
+            "{:.3f}, {:.3f}, {:.3f}".format(*summary.scene.centers[c]),
+            ", ".join(f"{k:.4g}" for k in _without_tail(coefficients[c])) or "none",
+        ])  # fmt: skip
+    return Table(header, rows)
+
+
+def pair_matrix(pairs: PairTable) -> Matrix:
+    """Frames shared by each two cameras, with the inliers of the pair where they are known."""
+    shared = pairs.shared.copy()
+    np.fill_diagonal(shared, 0)
+    top = max(int(shared.max(initial=0)), 1)
+    rows = []
+    for a, name in enumerate(pairs.names):
+        row = []
+        for b, other in enumerate(pairs.names):
+            if a == b:
+                row.append(
+                    Cell(f"{pairs.seen[a]:,}", kind="own", hint=f"{name} saw the light in {pairs.seen[a]} frames")
+                )
+                continue
+            small = "" if pairs.inliers is None else f"{pairs.inliers[a, b]:,}"
+            weak = "weak" if shared[a, b] < ENOUGH_SHARED else ""
+            row.append(Cell(f"{shared[a, b]:,}", shared[a, b] / top, small, weak, f"{name} and {other}"))
+        rows.append(row)
+    return Matrix(pairs.names, rows, pairs.inliers is not None)
+
+
+def lag_matrix(names: Sequence[str], lag: Int[np.ndarray, "C C"], likeness: Float[np.ndarray, "C C"]) -> Matrix:
+    """By how many frames each camera lags each other, and how sure that is."""
+    rows = []
+    for a, name in enumerate(names):
+        row = []
+        for b, other in enumerate(names):
+            if a == b or np.isnan(likeness[a, b]):
+                row.append(Cell("·", kind="own", hint="" if a == b else "too few frames to compare"))
+                continue
+            sure = float(np.clip(likeness[a, b], 0.0, 1.0))
+            wrong = "wrong" if abs(lag[a, b]) >= 2 and sure > 0.5 else ""
+            row.append(Cell(f"{lag[a, b]:+d}" if lag[a, b] else "0", sure, f"{sure:.2f}", wrong, f"{name} to {other}"))
+        rows.append(row)
+    return Matrix(names, rows)
+
+
+def kept_table(summary: Summary) -> Table:
+    """Mean error at fixed fractions kept, for every camera and all of them."""
+    fractions = (0.5, 0.8, BEST, 0.97, 1.0)
+    groups = [(name, summary.errors[summary.judged[:, c], c]) for c, name in enumerate(summary.names)]
+    groups.append(("all", summary.errors[summary.judged]))
+    return Table(
+        ["Mean error, px", *(f"best {f:.0%}" if f < 1 else "all" for f in fractions), "observations"],
+        [[name, *(_px(mean_of_best(errors, f)) for f in fractions), f"{errors.size:,}"] for name, errors in groups],
+    )
+
+
+def outlier_table(summary: Summary) -> Table:
+    """The observations with the largest residuals, worst first."""
+    return Table(
+        ["Camera", "Frame", "Error, px", "Why it was rejected"],
+        [
+            [summary.names[camera], str(frame), f"{error:.1f}", _REASONS.get(verdict, verdict.name.lower())]
+            for camera, frame, error, verdict in worst_outliers(summary)
+        ],
+    )
+
+
+def stage_list(stages: Sequence[Stage]) -> list[dict[str, Any]]:
+    """Stages of the pipeline with their figures as text."""
+    return [
+        {"name": s.name, "figures": [(str(k).replace("_", " "), as_text(v)) for k, v in s.figures.items()]}
+        for s in stages
+    ]
+
+
+def origin_table(provenance: Mapping[str, Any] | None, seconds: Mapping[str, Any], seed: int | None) -> Table:
+    """What the result was made with and from."""
+    rows = [[str(key).replace("_", " "), as_text(value)] for key, value in (provenance or {}).items()]
+    if seed is not None and "seed" not in (provenance or {}):
+        rows.append(["seed", str(seed)])
+    spent = {name: f"{value:.2f}" for name, value in seconds.items() if value is not None}
+    if spent:
+        rows.append(["seconds", as_text(spent)])
+    return Table(["", ""], rows) if rows else Table([], [])
+
+
+def as_text(value: Any) -> str:
+    """A figure of any kind, short: four digits of a float, lists with commas, dictionaries as `key value`."""
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.4g}"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {as_text(item)}" for key, item in value.items())
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return ", ".join(as_text(item) for item in value)
+    return "none" if value is None else str(value)
+
+
+def _px(value: float) -> str:
+    return f"{value:.3f}" if np.isfinite(value) else "none"
+
+
+def _without_tail(values: Sequence[float]) -> list[float]:
+    """The values without zeros at the end: terms that the lens model does not use."""
+    values = list(values)
+    while values and values[-1] == 0:
+        values.pop()
+    return values
