@@ -66,14 +66,15 @@ def locate(
         InsufficientDataError: a name is none of these, is clicked in fewer than two images, or its frame has no point.
     """
     clicked = {} if clicks is None else {name: i for i, name in enumerate(clicks.names)}
-    cameras = {name: i for i, name in enumerate(calibration.tracks.names)}
+    with jax.enable_x64(True):
+        centres = dict(zip(calibration.rig.names, np.asarray(calibration.rig.positions)))
     frames = {str(frame): i for i, frame in enumerate(calibration.tracks.frame_ids)}
     points, warnings = np.zeros((len(names), 3)), []
     for i, name in enumerate(names):
         if name in clicked and clicks is not None:
             continue
-        if name in cameras:
-            points[i] = np.asarray(calibration.rig.positions)[cameras[name]]
+        if name in centres:
+            points[i] = centres[name]
         elif name in frames and calibration.point_valid[frames[name]]:
             points[i] = calibration.points[frames[name]]
         else:

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.calibration.result import Calibration
+from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry import rotation as so3
@@ -26,7 +27,6 @@ DUPLICATE = 1e-6  # landmarks nearer than this fraction of their extent are the 
 COLLINEAR = 0.01  # smallest width of the landmarks, as a fraction of their extent
 CLEAR_OF_PLANE = 3.0  # how many times the residual landmarks must stand off a plane to tell a mirror image
 SUSPICIOUS = 4.0  # a leave-one-out error this many times the median is worth a warning
-PARAMETERS = 15  # of a camera in the covariance: rotation vector, translation, fx, fy, cx, cy, k1, k2, p1, p2, k3
 
 
 @dataclass(frozen=True)
@@ -202,7 +202,7 @@ def align_to_floor(
         "floor",
         names,
         1e3 * np.abs(heights),
-        tuple(1e3 * abs(scale * height) for height in _floor_left_out(floor)) if len(floor) > 3 else (None,) * 3,
+        _floor_left_out(scale * floor),
         float(1e3 * np.sqrt((heights**2).mean())),
         float(1e3 * np.abs(heights).max()),
         False,
@@ -213,8 +213,8 @@ def align_to_floor(
 def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibration:
     """The calibration in the room: P' = P S^-1, points S X, unit m; every pixel stays where it was.
 
-    The covariance of the cameras is mapped along, the alignment taken as exact; one that does not hold
-    15 parameters a camera is dropped, with a warning in the alignment.
+    The covariance of the cameras is mapped along, the alignment taken as exact; one that is not in the order of
+    `Camera.perturbed` (15 numbers a camera) is dropped, with a warning in the alignment.
     """
     similarity, covariance = alignment.similarity, calibration.camera_covariance
     with jax.enable_x64(True):
@@ -269,7 +269,8 @@ def _check_shapes(points: np.ndarray, landmarks: np.ndarray, sigmas: np.ndarray 
 
 def _check_spread(points: np.ndarray, names: tuple[str, ...], what: str) -> None:
     extent, width, _ = _spread(points)
-    distances = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(len(points)) * np.inf
+    distances = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.fill_diagonal(distances, np.inf)
     first, second = np.unravel_index(distances.argmin(), distances.shape)
     if distances[first, second] <= DUPLICATE * extent:
         raise InsufficientDataError(
@@ -331,7 +332,8 @@ def _leave_one_out(points: np.ndarray, landmarks: np.ndarray, weights: np.ndarra
         return (None,) * count
     others = weights[None] * ~np.eye(count, dtype=bool)
     fits = jax.vmap(umeyama, in_axes=(None, None, 0))(points, landmarks, others)
-    predicted = np.asarray(jax.vmap(lambda fit, point: fit @ point)(fits, points))
+    scale, rotation, translation = (np.asarray(part) for part in (fits.scale, fits.rotation, fits.translation))
+    predicted = scale[:, None] * np.einsum("nij,nj->ni", rotation, points) + translation
     errors = np.linalg.norm(predicted - landmarks, axis=1)
     return tuple(float(errors[i]) if _has_width(np.delete(landmarks, i, axis=0)) else None for i in range(count))
 
@@ -374,11 +376,13 @@ def _floor_plane(floor: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np
     return up, floor[0] - up * (up @ (floor[0] - middle))
 
 
-def _floor_left_out(floor: np.ndarray) -> list[float]:
-    """Height of each point over the plane of the others, solver's unit."""
-    heights = []
+def _floor_left_out(floor: np.ndarray) -> tuple[float | None, ...]:
+    """Height (mm) of each point (m) over the plane of the others; None where those are too few or on a line."""
+    heights: list[float | None] = []
     for i in range(len(floor)):
         others = np.delete(floor, i, axis=0)
         middle = others.mean(axis=0)
-        heights.append(float((floor[i] - middle) @ np.linalg.svd(others - middle)[2][2]))
-    return heights
+        enough = len(others) >= 3 and _has_width(others)
+        normal = np.linalg.svd(others - middle)[2][2]
+        heights.append(1e3 * abs(float((floor[i] - middle) @ normal)) if enough else None)
+    return tuple(heights)

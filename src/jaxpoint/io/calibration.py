@@ -14,8 +14,8 @@
      "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...]}
      "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
 
-`covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (see
-`CAMERA_PARAMETERS`); the rotation is a left perturbation (R = exp(w) R0, rad).
+`covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (that of
+`Camera.perturbed`); the rotation is a left perturbation (R = exp(w) R0, rad).
 
 `calibration.toml` holds one table a camera, `cam_0`, `cam_1`, ... in input order, each with `name`, `size`, `matrix`,
 `distortions` (k1, k2, p1, p2, k3), `rotation` (rotation vector) and `translation`, and a table `metadata`.
@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import jax
 import msgspec
 import numpy as np
 import tomli_w
@@ -254,7 +255,7 @@ def _read_toml(path: StrPath) -> dict[str, Any]:
 def _toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
     width, height = _numbers(where, table, "size", (2,))
     if width != int(width) or height != int(height):
-        raise FileFormatError(f"{where}size {[width, height]} must be whole pixels.")
+        raise FileFormatError(f"{where}size {table['size']} must be whole pixels.")
     return int(width), int(height)
 
 
@@ -291,7 +292,8 @@ def _numbers(where: str, table: Mapping[str, Any], key: str, shape: tuple[int, .
     except (TypeError, ValueError):
         raise FileFormatError(f"{where}'{key}' must hold numbers.") from None
     if not np.isfinite(values).all() or (shape is not None and values.shape != shape):
-        raise FileFormatError(f"{where}'{key}' must be {shape or 'all'} finite numbers, not {table[key]}.")
+        size = " x ".join(map(str, shape or values.shape))
+        raise FileFormatError(f"{where}'{key}' must be {size} finite numbers, not {table[key]}.")
     return values
 
 
@@ -314,15 +316,16 @@ def _rig(path: StrPath, cameras: list[_CameraEntry]) -> CameraRig:
     if not names or len(set(names)) != len(names):
         raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
     k = np.array([camera.K for camera in cameras])
-    return CameraRig.from_parameters(
-        focal=k[:, [0, 1], [0, 1]],
-        center=k[:, :2, 2],
-        distortion=np.array([camera.distortion for camera in cameras]),
-        rotation=np.array([camera.rotation for camera in cameras]),
-        translation=np.array([camera.translation for camera in cameras]),
-        image_sizes=np.array([camera.size for camera in cameras]),
-        names=names,
-    )
+    with jax.enable_x64(True):
+        return CameraRig.from_parameters(
+            focal=k[:, [0, 1], [0, 1]],
+            center=k[:, :2, 2],
+            distortion=np.array([camera.distortion for camera in cameras]),
+            rotation=np.array([camera.rotation for camera in cameras]),
+            translation=np.array([camera.translation for camera in cameras]),
+            image_sizes=np.array([camera.size for camera in cameras]),
+            names=names,
+        )
 
 
 def _entries(rig: CameraRig) -> list[_CameraEntry]:

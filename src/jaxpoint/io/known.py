@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Int
 
@@ -100,8 +101,11 @@ def read_camera_centres(path: StrPath, cameras: Sequence[str]) -> Landmarks:
     if path.suffix == ".csv":
         known = read_landmarks(path)
     else:
-        rig = read_calibration(path).rig
-        known = Landmarks(rig.names, np.asarray(rig.positions))
+        saved = read_calibration(path)
+        if saved.unit != "m":
+            raise FileFormatError(f"{path} is in the unit '{saved.unit}'; known camera centres must be in metres.")
+        with jax.enable_x64(True):
+            known = Landmarks(saved.rig.names, np.asarray(saved.rig.positions))
     names = [name for name in cameras if name in known.names]
     if not names:
         raise FileFormatError(
@@ -128,7 +132,8 @@ def read_intrinsics(
     missing = [name for name in cameras if name not in rig.names]
     if missing:
         raise FileFormatError(f"{path} has no camera '{missing[0]}', only {', '.join(rig.names)}; name them alike.")
-    rig = rig.select([rig.names.index(name) for name in cameras])
+    with jax.enable_x64(True):
+        rig = rig.select([rig.names.index(name) for name in cameras])
     different = (np.asarray(rig.image_sizes) != image_sizes).any(axis=1)
     if different.any():
         camera = int(different.argmax())

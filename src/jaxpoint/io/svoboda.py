@@ -11,6 +11,7 @@ import logging
 import re
 from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -160,15 +161,16 @@ def read_rad_folder(
         raise FileFormatError(f"{folder} holds {len(paths)} .rad files for {len(sizes)} cameras; give one a camera.")
     lenses = [_read_rad(path) for path in paths]
     count = len(lenses)
-    return CameraRig.from_parameters(
-        focal=np.array([[k[0, 0], k[1, 1]] for k, _ in lenses]),
-        center=np.array([k[:2, 2] for k, _ in lenses]) - float(one_based),
-        distortion=np.array([kc for _, kc in lenses]),
-        rotation=np.tile(np.eye(3), (count, 1, 1)),
-        translation=np.zeros((count, 3)),
-        image_sizes=sizes,
-        names=names or tuple(f"cam_{i}" for i in range(count)),
-    )
+    with jax.enable_x64(True):
+        return CameraRig.from_parameters(
+            focal=np.array([[k[0, 0], k[1, 1]] for k, _ in lenses]),
+            center=np.array([k[:2, 2] for k, _ in lenses]) - float(one_based),
+            distortion=np.array([kc for _, kc in lenses]),
+            rotation=np.tile(np.eye(3), (count, 1, 1)),
+            translation=np.zeros((count, 3)),
+            image_sizes=sizes,
+            names=names,
+        )
 
 
 def _read_rad(path: Path) -> tuple[np.ndarray, np.ndarray]:

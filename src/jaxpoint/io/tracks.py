@@ -136,8 +136,8 @@ def load_reasons(path: StrPath) -> tuple[Int[np.ndarray, "F C"], tuple[str, ...]
 
 def _read_npz(path: StrPath) -> dict[str, np.ndarray]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = dict(archive)
     except (FileNotFoundError, IsADirectoryError):
         raise FileFormatError(f"There is no file {path}; check the path.") from None
     except (ValueError, EOFError, OSError, zipfile.BadZipFile) as error:

@@ -1,0 +1,72 @@
+"""Frames of unsynchronised files on common moments."""
+
+import numpy as np
+import pytest
+
+from jaxpoint.errors import FileFormatError, InsufficientDataError
+from jaxpoint.io.timestamps import read_timestamps
+
+# Camera 1 starts one frame later and camera 0 drops sync index 12; rows in no order.
+ROWS = [(10, 0, 0, 1.0), (12, 1, 1, 1.21), (11, 1, 0, 1.11), (11, 0, 1, 1.1), (13, 0, 2, 1.3), (13, 1, 2, 1.31)]
+
+
+def write(path, rows, frame_index=True, camera="cam_id"):
+    columns = ["sync_index", camera, "frame_index", "frame_time"]
+    kept = columns if frame_index else [columns[i] for i in (0, 1, 3)]
+    lines = [",".join(kept)] + [",".join(str(row[columns.index(column)]) for column in kept) for row in rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("frame_index", [True, False])
+@pytest.mark.parametrize("camera", ["cam_id", "port"])
+def test_frames_of_each_moment(tmp_path, frame_index, camera):
+    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS, frame_index, camera))
+    assert stamps.cameras == ("0", "1")
+    assert stamps.sync_indices.tolist() == [10, 11, 12, 13]
+    np.testing.assert_array_equal(stamps.frame_index, [[0, -1], [1, 0], [-1, 1], [2, 2]])
+    np.testing.assert_allclose(stamps.times, [1.0, 1.105, 1.21, 1.305])
+
+
+def test_gather_brings_values_to_common_moments(tmp_path):
+    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS)).select(["cam_1", "cam_0"])
+    first, second = np.array([[1.0, 2], [3, 4], [5, 6]]), np.array([[10.0, 20], [30, 40], [50, 60]])
+    together = stamps.gather([first, second], fill=np.nan)
+    expected = [[[np.nan] * 2, [10, 20]], [[1, 2], [30, 40]], [[3, 4], [np.nan] * 2], [[5, 6], [50, 60]]]
+    np.testing.assert_array_equal(together, expected)
+    seen = stamps.gather([np.array([True, False, True]), np.array([True, True, True])], fill=False)
+    np.testing.assert_array_equal(seen, [[0, 1], [1, 1], [0, 0], [1, 1]])
+    with pytest.raises(InsufficientDataError, match="Camera 'cam_1' has 2 frames, but the timestamps speak of frame 2"):
+        stamps.gather([first[:2], second], fill=0)
+
+
+def test_select_by_any_spelling(tmp_path):
+    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS))
+    for name in ("1", "cam_1", "cam1", "cam_01", "camera-1", "port_1"):
+        assert stamps.select([name]).frame_index[:, 0].tolist() == [0, 1, 2]
+    assert stamps.select(["0"]).sync_indices.tolist() == [10, 11, 13]
+    with pytest.raises(InsufficientDataError, match="no camera 'left', only 0, 1"):
+        stamps.select(["left"])
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([(10, 0, 0, 1.0), (10, 0, 1, 1.1)], "line 3: camera 0 has a second frame in sync_index 10"),
+        ([(10, 0, 0, 1.0), (11, 0, 0, 1.1)], "line 3: frame_index 0 is negative or used twice"),
+        ([(10, 0, 0, "nan")], "line 2: column 'frame_time' is nan"),
+    ],
+)
+def test_contradictions(tmp_path, rows, message):
+    with pytest.raises(FileFormatError, match=message):
+        read_timestamps(write(tmp_path / "timestamps.csv", rows))
+
+
+def test_caliscope_files(data_folder):
+    folder = data_folder / "caliscope_charuco4/calibration/extrinsic"
+    without = read_timestamps(folder / "timestamps.csv")
+    assert without.frame_index.shape == (57, 4)  # its videos have 57 frames each
+    np.testing.assert_array_equal(without.frame_index, np.arange(57)[:, None] + np.zeros((1, 4)))
+    given = read_timestamps(folder / "CHARUCO/timestamps.csv")
+    assert given.frame_index.shape == (56, 4)
+    assert np.ptp(given.frame_time, axis=1).max() < 0.05
