@@ -6,6 +6,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.result import Calibration, Stage, Verdict
 from jaxpoint.simulate.known import known_in

@@ -5,8 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jaxpoint
 import pytest
+
+import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (

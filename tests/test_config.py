@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+
 from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig, checked, load_config, to_toml
 from jaxpoint.errors import UsageError
 
@@ -58,7 +59,7 @@ def test_a_missing_file_is_named(tmp_path):
 
 def test_settings_made_in_python_are_held_to_the_same_ranges():
     assert checked(CalibrateSettings()) == CalibrateSettings()
-    with pytest.raises(UsageError, match="'lens.principal_point_sigma'"):
+    with pytest.raises(UsageError, match=r"'lens\.principal_point_sigma'"):
         checked(CalibrateSettings(lens=LensSettings(principal_point_sigma=-1.0)))
 
 

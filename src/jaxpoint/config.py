@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 import tomli_w
@@ -190,7 +190,12 @@ class RoomConfig:
 
 
 def load_config(path: Path) -> RoomConfig:
-    """Read a configuration file strictly; relative paths in it count from its folder.
+    """Read the configuration file of a room, as `load_settings` does."""
+    return load_settings(path, RoomConfig)
+
+
+def load_settings(path: Path, kind: type[Settings]) -> Settings:
+    """Read a TOML file strictly into a dataclass; relative paths in it count from its folder.
 
     Raises:
         UsageError: the file is missing or is not TOML, a key is unknown, or a value has the wrong type or range;
@@ -202,12 +207,12 @@ def load_config(path: Path) -> RoomConfig:
         raise UsageError(f"There is no configuration file '{path}'; check --config.") from None
     except (OSError, ValueError) as error:  # what is not TOML or not UTF-8 is a ValueError
         raise UsageError(f"'{path}' cannot be read as TOML: {error}.") from None
-    for key, known in _unknown_keys(raw, RoomConfig):
+    for key, known in _unknown_keys(raw, kind):
         near = get_close_matches(key.rpartition(".")[2], known, n=1)
         hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}."
         raise UsageError(f"'{path}' has the unknown key '{key}'; {hint}")
     try:
-        return _converted(raw, RoomConfig, path.parent)
+        return _converted(raw, kind, path.parent)
     except UsageError as error:
         raise UsageError(f"In '{path}': {error}") from None
 
@@ -241,14 +246,18 @@ def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
         ) from None
 
 
-def _unknown_keys(raw: dict[str, Any], kind: type, place: str = "") -> Iterator[tuple[str, list[str]]]:
+def _unknown_keys(raw: Any, kind: Any, place: str = "") -> Iterator[tuple[str, list[str]]]:
     """Keys of `raw` that the dataclass does not have (as dotted paths), with the keys it knows there."""
-    types = get_type_hints(kind)
-    for key, value in raw.items():
-        if key not in types:
-            yield place + key, list(types)
-        elif isinstance(value, dict) and is_dataclass(types[key]):
-            yield from _unknown_keys(value, types[key], f"{place}{key}.")
+    if isinstance(raw, list) and get_origin(kind) is tuple:
+        for i, item in enumerate(raw):
+            yield from _unknown_keys(item, get_args(kind)[0], f"{place.removesuffix('.')}[{i}].")
+    elif isinstance(raw, dict) and is_dataclass(kind):
+        types = get_type_hints(kind)
+        for key, value in raw.items():
+            if key in types:
+                yield from _unknown_keys(value, types[key], f"{place}{key}.")
+            else:
+                yield place + key, list(types)
 
 
 def _plain(value: Any, path_text: Callable[[Path], str] = str) -> Any:

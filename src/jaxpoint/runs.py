@@ -167,6 +167,7 @@ def write_run(
             folder / "report.html",
             calibration,
             settings=config.calibrate,
+            align_settings=config.align,
             metrics=figures,
             config_text=to_toml(config),
             provenance=made,

@@ -74,20 +74,19 @@ class Check(SeededOptions):
         }
         lines = _lines(pairs, tracks.frames, advice, failure is None)
         if self.out is not None:
-            lines = (*lines, f"Report: {_keep(self.out, self.force, self.tracks, tracks, figures, self.seed)}")
+            lines = (*lines, f"Report: {self._keep(self.out, tracks, pairs, figures)}")
         return Outcome(figures, lines, failure)
 
+    def _keep(self, out: Path, tracks: Tracks, pairs: PairTable, figures: dict[str, Any]) -> Path:
+        from jaxpoint.report.html import write_tracks_report
+        from jaxpoint.runs import MARK, new_run, provenance, write_json
 
-def _keep(out: Path, force: bool, source: Path, tracks: Tracks, figures: dict[str, Any], seed: int) -> Path:
-    from jaxpoint.report.html import write_tracks_report
-    from jaxpoint.runs import MARK, new_run, provenance, write_json
-
-    made = provenance("jaxpoint check", [source], seed)
-    with new_run(out, force) as folder:
-        write_json(folder / MARK, made)
-        write_json(folder / "check.json", figures)
-        write_tracks_report(folder / "report.html", tracks)
-    return out / "report.html"
+        made = provenance("jaxpoint check", [self.tracks], self.seed)
+        with new_run(out, self.force) as folder:
+            write_json(folder / MARK, made)
+            write_json(folder / "check.json", figures)
+            write_tracks_report(folder / "report.html", tracks, pairs, problem=figures["problem"], provenance=made)
+        return out / "report.html"
 
 
 def _lines(pairs: PairTable, frames: int, advice: Sequence[Advice], sufficient: bool) -> tuple[str, ...]:

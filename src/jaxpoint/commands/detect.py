@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxpoint.commands.console import Console
+from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import detection_summary
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import LedSettings, RoomConfig
+from jaxpoint.errors import UsageError
+
+if TYPE_CHECKING:
+    from jaxpoint.detect.led import LedDetection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,4 +40,68 @@ class Detect(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Write the tracks and, beside them, how the detection went."""
-        raise NotImplementedError
+        from jaxpoint.detect.led import DetectionInterrupted, detect_led
+
+        out = self.needed_out("tracks.npz")
+        _check_out(out, self.force)
+        with console.progress() as progress:
+            try:
+                detection = detect_led(self.sources, self.settings, progress)
+            except DetectionInterrupted as stop:
+                kept = out.with_name(f"{out.stem}.unfinished.npz")
+                _write(kept, stop.finished)
+                raise KeyboardInterrupt(f"{stop} They lie in {kept}") from None
+        figures = _write(out, detection)
+        rows = [
+            (
+                camera["name"],
+                f"{camera['found']}/{camera['frames']}",
+                f"{camera['sigma_px']:.3f}",
+                camera["channel"],
+                ", ".join(f"{count} {why}" for why, count in camera["rejected"].items()),
+            )
+            for camera in figures["cameras"]
+        ]
+        lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
+        return Outcome(figures, (*lines, f"{figures['seconds']:.1f} s", f"Tracks: {out}"))
+
+
+def _check_out(out: Path, force: bool) -> None:
+    if out.suffix != ".npz":
+        raise UsageError(f"--out must name a file that ends in .npz, not '{out}'.")
+    if out.exists() and not (force and out.is_file()):
+        raise UsageError(f"'{out}' exists; choose another --out, or replace it by --force.")
+    if not out.absolute().parent.is_dir():
+        raise UsageError(f"There is no folder '{out.parent}'; make it, or choose another --out.")
+
+
+def _write(out: Path, detection: LedDetection) -> dict[str, Any]:
+    """The tracks as `.npz` and how the detection went as `.json`; returns the latter."""
+    from jaxpoint.detect.led import Reason
+    from jaxpoint.io.tracks import save_tracks
+    from jaxpoint.runs import versions, write_json
+
+    save_tracks(out, detection.tracks, detection.reasons, [reason.name.lower() for reason in Reason])
+    figures = {
+        "tracks": str(out),
+        "frames": detection.tracks.frames,
+        "seconds": detection.seconds,
+        "cameras": [
+            {
+                "name": name,
+                "source": str(source),
+                **asdict(stats),
+                "rejected": {
+                    reason.name.lower(): count
+                    for reason, count in detection.counts(camera).items()
+                    if reason != Reason.FOUND
+                },
+            }
+            for camera, (name, source, stats) in enumerate(
+                zip(detection.tracks.names, detection.sources, detection.cameras)
+            )
+        ],
+        "versions": versions(),
+    }
+    write_json(detection_summary(out), figures)
+    return figures

@@ -58,9 +58,10 @@ def load_result(folder: Path) -> Calibration:
     tracks = load_tracks(folder / "tracks.npz")
     path = folder / "result.npz"
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in ARRAYS}
-            about = json.loads(str(file["about"]))
+        with path.open("rb") as file:  # np.load itself would leave a damaged file open
+            stored = np.load(file, allow_pickle=False)
+            arrays = {name: stored[name] for name in ARRAYS}
+            about = json.loads(str(stored["about"]))
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {path}; give the folder of a run of `calibrate`.") from None
     except (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile) as error:
