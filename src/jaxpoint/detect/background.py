@@ -28,14 +28,16 @@ def mean_background(frames: Iterable[UInt8[np.ndarray, "H W"]]) -> Background:
     Raises:
         ValueError: no frames.
     """
-    count, mean, squares = 0, np.float32(0), np.float32(0)
-    for frame in frames:
-        count += 1
-        delta = frame - mean
-        mean = mean + delta / np.float32(count)
-        squares = squares + delta * (frame - mean)
-    if not count:
+    iterator = iter(frames)
+    first = next(iterator, None)
+    if first is None:
         raise ValueError("A background needs at least one frame.")
+    count, mean = 1, first.astype(np.float32)
+    squares = np.zeros_like(mean)
+    for count, frame in enumerate(iterator, start=2):
+        delta = frame - mean
+        mean += delta / np.float32(count)
+        squares += delta * (frame - mean)
     return Background(mean, np.maximum(np.sqrt(squares / np.float32(count)), np.float32(DEVIATION_FLOOR)))
 
 

@@ -86,9 +86,7 @@ def find_blob(
     return Blob(x, y, float(difference[y, x]), reason)
 
 
-def _dominant(
-    difference: Float32[np.ndarray, "h w"], labels: np.ndarray, led_radius: float
-) -> tuple[int, int] | None:
+def _dominant(difference: Float32[np.ndarray, "h w"], labels: np.ndarray, led_radius: float) -> tuple[int, int] | None:
     """Brightest pixel (x, y) of the place that holds most of the light, None where two places are alike."""
     remaining = np.where(labels > 0, difference, np.float32(0))
     rows, columns = np.ogrid[: labels.shape[0], : labels.shape[1]]

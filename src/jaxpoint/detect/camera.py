@@ -47,6 +47,7 @@ class CameraLights:
     """The light in the F frames of one camera."""
 
     frame_ids: Int[np.ndarray, " F"]
+    numbered: bool  # whether the frame numbers come from file names
     times: Float[np.ndarray, " F"] | None  # s
     size: tuple[int, int]  # px, width and height
     pixels: Float[np.ndarray, "F 2"]  # px, (0, 0) where not found
@@ -74,9 +75,7 @@ def find_lights(path: Path, settings: LedSettings, advance: Advance) -> CameraLi
     samples = _background_frames(source, settings)
     total = len(samples) + len(source)
     learnt = (_take(image, channel) for _, image in _counted(source, samples, lambda done: advance(done, total)))
-    background = (
-        mean_background(learnt) if settings.method == "thesis" else median_background(np.stack(list(learnt)))
-    )
+    background = mean_background(learnt) if settings.method == "thesis" else median_background(np.stack(list(learnt)))
     watched = _counted(source, None, lambda done: advance(len(samples) + done, total))
     reasons, brightest, spots = _find_spots(watched, len(source), channel, background, settings)
     measure = match_positions if settings.method == "thesis" else fit_positions
@@ -89,7 +88,7 @@ def find_lights(path: Path, settings: LedSettings, advance: Advance) -> CameraLi
     covariance[reasons == Reason.FOUND] = positions.covariance[found]
     stats = _summarise(positions, background, channel, len(source), time.perf_counter() - started)
     return CameraLights(
-        source.frame_ids, source.times, source.size, pixels, covariance, reasons, brightest, stats
+        source.frame_ids, source.numbered, source.times, source.size, pixels, covariance, reasons, brightest, stats
     )
 
 
@@ -125,9 +124,7 @@ def _find_spots(
     return reasons, brightest, spots
 
 
-def _summarise(
-    positions: Positions, background: Background, channel: str, frames: int, seconds: float
-) -> CameraStats:
+def _summarise(positions: Positions, background: Background, channel: str, frames: int, seconds: float) -> CameraStats:
     found = positions.reasons == Reason.FOUND
     deviations = np.sqrt(np.trace(positions.covariance[found], axis1=1, axis2=2) / 2)
 

@@ -28,6 +28,7 @@ def fit_gaussians(
     patches: Float[np.ndarray, "N S S"],
     usable: Bool[np.ndarray, "N S S"],
     noise: Float[np.ndarray, " N"] | float = 1.0,
+    radius: float | None = None,
 ) -> GaussianFit:
     """Least-squares fit of offset + amplitude exp(-|L^T (p - centre)|^2 / 2) to each patch, by Levenberg-Marquardt.
 
@@ -35,6 +36,7 @@ def fit_gaussians(
         patches: grey levels, S odd, the light near the middle.
         usable: pixels that count; leave out saturated ones and those outside the image.
         noise: smallest standard deviation of a grey level that is believed; the residuals may show a larger one.
+        radius: a known standard deviation of round spots, px, that is then not fitted.
 
     The covariance of the centre is the inverse normal matrix times the larger of the residual variance and `noise`
     squared. Fits of fewer than 8 usable pixels, and those that run away, are not `converged`.
@@ -46,10 +48,13 @@ def fit_gaussians(
     weight = usable.reshape(len(patches), -1).astype(np.float64)
     values = np.where(weight > 0, patches.reshape(len(patches), -1), 0.0)
     state = _start(values, weight, x, y)
-    state, normal, cost, settled = _minimise(state, values, weight, x, y)
+    free = np.ones(7)
+    if radius is not None:
+        state[:, [4, 6]], free[4:] = -np.log(radius), 0.0
+    state, normal, cost, settled = _minimise(state, free, values, weight, x, y)
 
     count = weight.sum(axis=1)
-    variance = np.maximum(cost / np.maximum(count - 7, 1), np.square(noise))
+    variance = np.maximum(cost / np.maximum(count - free.sum(), 1), np.square(noise))
     inverse = np.linalg.inv(normal + 1e-9 * np.eye(7)) * variance[:, None, None]
     shape = np.zeros((len(patches), 2, 2))
     shape[:, 0, 0], shape[:, 1, 0], shape[:, 1, 1] = np.exp(state[:, 4]), state[:, 5], np.exp(state[:, 6])
@@ -96,9 +101,9 @@ def _model(state: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray,
 
 
 def _minimise(
-    state: np.ndarray, values: np.ndarray, weight: np.ndarray, x: np.ndarray, y: np.ndarray
+    state: np.ndarray, free: np.ndarray, values: np.ndarray, weight: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """State, normal matrix, cost and whether the steps became small."""
+    """State, normal matrix, cost and whether the steps became small; parameters that are not `free` stay."""
     count = len(state)
     damping = np.full(count, 1e-2)
     settled = np.zeros(count, dtype=bool)
@@ -107,8 +112,8 @@ def _minimise(
     cost = np.square(residual).sum(axis=1)
     diagonal = np.arange(7)
     for _ in range(MAX_STEPS):
-        weighted = jacobian * weight[..., None]
-        normal = weighted.transpose(0, 2, 1) @ jacobian
+        weighted = jacobian * weight[..., None] * free
+        normal = weighted.transpose(0, 2, 1) @ weighted
         gradient = (weighted.transpose(0, 2, 1) @ residual[..., None])[..., 0]
         damped = normal.copy()
         damped[:, diagonal, diagonal] = damped[:, diagonal, diagonal] * (1 + damping[:, None]) + 1e-9
@@ -129,8 +134,8 @@ def _minimise(
         cost = np.where(better, new_cost, cost)
         if settled.all():
             break
-    weighted = jacobian * weight[..., None]
-    return state, weighted.transpose(0, 2, 1) @ jacobian, cost, settled
+    weighted = jacobian * weight[..., None] * free
+    return state, weighted.transpose(0, 2, 1) @ weighted, cost, settled
 
 
 def correlate_template(patch: Float[np.ndarray, "S S"], sigma: float, scale: int = 5) -> Float[np.ndarray, "2"]:

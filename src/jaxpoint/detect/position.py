@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from jaxpoint.config import LedSettings
 from jaxpoint.detect.blob import Blob, Reason
-from jaxpoint.detect.gaussian import correlate_template, fit_gaussians
+from jaxpoint.detect.gaussian import GaussianFit, correlate_template, fit_gaussians
 
 SATURATED = 250  # grey levels
 MIN_SIGNIFICANCE = 8.0  # amplitudes; noise peaks reach 5 somewhere in an image, but in one pixel only
 MIN_RADIUS = 0.35  # px; sharper spots are single hot pixels
-MIN_BRIGHTNESS = 0.125  # of the recording's median light; fainter spots are its reflections
 TEMPLATE_SCALE = 5  # places per pixel of the thesis's search
 CHUNK = 512  # spots fitted at a time, to bound memory
 
@@ -65,29 +64,41 @@ def fit_positions(spots: Spots, settings: LedSettings) -> Positions:
 
     UNLIKE are fits that fail, are wider than the light, sharper than optics allow, or much fainter than the other
     lights of this camera: noise, a moving person, a reflection while the light is hidden. BLURRED are elongated ones.
+
+    The free fit judges the shape. The position comes from a second one whose width is the median of the recording: it
+    follows compression and partial cover less (mean reprojection 0.177 against 0.188 px on the arctic recording).
     """
-    count = len(spots.pixel)
-    fits = [
-        fit_gaussians(spots.patches[at : at + CHUNK], spots.usable[at : at + CHUNK], spots.noise[at : at + CHUNK])
-        for at in range(0, max(count, 1), CHUNK)
-    ]
-    center = np.concatenate([fit.center for fit in fits])
-    radii = np.concatenate([fit.radii for fit in fits])
-    amplitude = np.concatenate([fit.amplitude for fit in fits])
+    free = _fit(spots)
+    radius = np.sqrt(free.radii.prod(axis=1))
+    eccentricity = np.sqrt(1 - (free.radii[:, 1] / free.radii[:, 0]) ** 2)
     point_like = (
-        np.concatenate([fit.converged for fit in fits])
-        & (np.concatenate([fit.significance for fit in fits]) >= MIN_SIGNIFICANCE)
-        & (radii[:, 1] >= MIN_RADIUS)
-        & (radii[:, 1] <= settings.led_radius_px)
-        & (np.hypot(*center.T) <= settings.led_radius_px)
+        free.converged
+        & (free.significance >= MIN_SIGNIFICANCE)
+        & (free.radii[:, 1] >= MIN_RADIUS)
+        & (free.radii[:, 1] <= settings.led_radius_px)
+        & (np.hypot(*free.center.T) <= settings.led_radius_px)
     )
-    blurred = point_like & (np.sqrt(1 - (radii[:, 1] / radii[:, 0]) ** 2) > settings.max_eccentricity)
-    alike = point_like & ~blurred & (radii[:, 0] <= settings.led_radius_px)
+    blurred = point_like & (eccentricity > settings.max_eccentricity)
+    alike = point_like & ~blurred & (free.radii[:, 0] <= settings.led_radius_px)
+    center, covariance = free.center, free.covariance
     if alike.any():
-        alike &= amplitude >= MIN_BRIGHTNESS * np.median(amplitude[alike])
+        alike &= free.amplitude >= settings.min_brightness * np.median(free.amplitude[alike])
+        shared = _fit(spots, float(np.median(radius[alike])))
+        usable = shared.converged
+        center = np.where(usable[:, None], shared.center, center)
+        covariance = np.where(usable[:, None, None], shared.covariance, covariance)
     reasons = np.where(alike, Reason.FOUND, np.where(blurred, Reason.BLURRED, Reason.UNLIKE))
-    covariance = np.concatenate([fit.covariance for fit in fits])
-    return Positions(spots.pixel + center, covariance, reasons, amplitude, np.sqrt(radii.prod(axis=1)))
+    return Positions(spots.pixel + center, covariance, reasons, free.amplitude, radius)
+
+
+def _fit(spots: Spots, radius: float | None = None) -> GaussianFit:
+    starts = range(0, max(len(spots.pixel), 1), CHUNK)
+    parts = [
+        fit_gaussians(spots.patches[rows], spots.usable[rows], spots.noise[rows], radius)
+        for rows in (slice(start, start + CHUNK) for start in starts)
+    ]
+    joined = {name.name: np.concatenate([getattr(part, name.name) for part in parts]) for name in fields(GaussianFit)}
+    return GaussianFit(**joined)
 
 
 def match_positions(spots: Spots, settings: LedSettings) -> Positions:

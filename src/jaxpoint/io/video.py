@@ -24,6 +24,7 @@ class FrameSource(ABC):
     path: Path
     size: tuple[int, int]  # px, width and height
     frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording, strictly rising
+    numbered: bool  # whether the frame numbers come from file names; else they are positions
     times: Float[np.ndarray, " F"] | None  # s, where the source knows them
 
     def __len__(self) -> int:
@@ -64,7 +65,9 @@ class ImageFolder(FrameSource):
             )
         first = _decode(self.files[0])
         self.size = (first.shape[1], first.shape[0])
-        self.frame_ids = _frame_numbers(self.files)
+        numbers = _frame_numbers(self.files)
+        self.numbered = numbers is not None
+        self.frame_ids = np.arange(len(self.files)) if numbers is None else numbers
         self.times = None
 
     def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
@@ -99,13 +102,14 @@ class VideoFile(FrameSource):
             decoded, image = capture.read()
             if not decoded:
                 raise FileFormatError(
-                    f"0 frames of the video '{path}' could be decoded; it is empty or truncated, record or copy it anew."
+                    f"0 frames of the video '{path}' could be decoded; it is empty or truncated. Copy it anew."
                 )
             rate = capture.get(cv2.CAP_PROP_FPS)
         finally:
             capture.release()
         self.size = (image.shape[1], image.shape[0])
         self.frame_ids = np.arange(count)
+        self.numbered = False
         self.times = self.frame_ids / rate if rate > 0 else None
 
     def _open(self) -> cv2.VideoCapture:
@@ -151,8 +155,8 @@ class VideoFile(FrameSource):
         """Headers may count a frame or two too many; more than that is a truncated file."""
         if len(self) - decoded > max(2, len(self) // 100):
             raise FileFormatError(
-                f"The video '{self.path}' ends early: {decoded} of {len(self)} frames were decoded. Copy it anew, or cut "
-                "it there and cut the other cameras' videos alike."
+                f"The video '{self.path}' ends early: {decoded} of {len(self)} frames were decoded. Copy it anew, or "
+                "cut it there and cut the other cameras' videos alike."
             )
         logger.warning("Video '%s': %d of the %d frames in its header exist.", self.path, decoded, len(self))
 
@@ -186,13 +190,13 @@ def _natural_key(file: Path) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
 
 
-def _frame_numbers(files: Sequence[Path]) -> Int[np.ndarray, " F"]:
+def _frame_numbers(files: Sequence[Path]) -> Int[np.ndarray, " F"] | None:
+    """The last number in every name, None where one has none or they do not rise."""
     found = [re.findall(r"\d+", file.stem) for file in files]
-    if all(found):
-        numbers = np.array([int(digits[-1][-18:]) for digits in found], dtype=np.int64)
-        if (np.diff(numbers) > 0).all():
-            return numbers
-    return np.arange(len(files))
+    if not all(found):
+        return None
+    numbers = np.array([int(digits[-1][-18:]) for digits in found], dtype=np.int64)
+    return numbers if (np.diff(numbers) > 0).all() else None
 
 
 def _is_frame(file: Path) -> bool:
