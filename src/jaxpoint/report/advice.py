@@ -190,7 +190,7 @@ def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
 
 def on_lenses(names: Sequence[str], lens: Lens) -> Iterator[Advice]:
     """A lens polynomial that folds back within the image, where the light never was."""
-    for camera in np.flatnonzero(lens.turning <= lens.corner):
+    for camera in np.flatnonzero(lens.turning <= lens.corner).tolist():
         yield Advice(
             f"The lens model of camera {names[camera]} stops growing {lens.turning[camera]:.0f} px from its middle, "
             "before the image corner.",
@@ -204,7 +204,7 @@ def on_principal_points(
 ) -> Iterator[Advice]:
     """A principal point far from the middle of the image."""
     off = (center - (sizes - 1) / 2) / sizes[:, :1]
-    for camera in np.flatnonzero(np.abs(off).max(axis=1) > 0.12):
+    for camera in np.flatnonzero(np.abs(off).max(axis=1) > 0.12).tolist():
         yield Advice(
             f"The principal point of camera {names[camera]} lies {np.linalg.norm(off[camera]):.0%} of the image width "
             "from its middle.",

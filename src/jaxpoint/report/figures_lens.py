@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import BAD, FAINT, INK, SEQUENTIAL, camera_colors, small_multiples
+from jaxpoint.report.style import BAD, FAINT, INK, SEQUENTIAL, camera_colors, short, small_multiples
 from jaxpoint.report.summary import GRID, Lens, image_coverage
 
 
@@ -43,8 +43,12 @@ def coverage_maps(
     sizes: Int[np.ndarray, "C 2"],
 ) -> Figure:
     """How often the light visited each cell of an 8 x 6 grid of each image; cells it never visited are hatched red."""
-    figure, axes = small_multiples(len(names), sizes, columns=2 if len(names) <= 2 else 4 if len(names) > 3 else 3)
+    columns = 2 if len(names) <= 2 else 3 if len(names) == 3 else 4
     counts = image_coverage(pixels, visible, sizes)
+    titles = [
+        f"{short(name)}: {np.mean(count > 0):.0%} of its cells" for name, count in zip(names, counts, strict=True)
+    ]
+    figure, axes = small_multiples(titles, sizes, columns, ticks=False)
     small = len(names) > 3
     for camera, ax in enumerate(axes):
         width, height = sizes[camera]
@@ -57,6 +61,4 @@ def coverage_maps(
         for row, column in np.argwhere(count > 0):
             middle = ((x[column] + x[column + 1]) / 2, (y[row] + y[row + 1]) / 2)
             ax.text(*middle, str(count[row, column]), ha="center", va="center", fontsize=5.5 if small else 8, color=INK)
-        ax.set_title(f"{names[camera]}: {np.mean(count > 0):.0%} of the cells", fontsize=8.5)
-        ax.set(xticks=[], yticks=[])
     return figure

@@ -1,48 +1,57 @@
-"""Figures of what the calibration leaves unexplained: detections against reprojections, and residuals every way round."""
+"""Figures of what is left unexplained: detections against reprojections, and residuals every way round."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, round_number, small_multiples
-from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean_of_best
+from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, round_number, short, small_multiples
+from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean, mean_of_best
 
 _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
 
 
 def reprojections(summary: Summary) -> Figure:
     """Detections (rings) against reprojections (crosses), outliers in red: the thesis's figure 25."""
-    figure, axes = small_multiples(len(summary.names), summary.sizes)
+    titles = [
+        f"{short(name)}: {mean(summary.errors[summary.kept[:, c], c]):.2f} px, {summary.rejected[:, c].sum()} rejected"
+        for c, name in enumerate(summary.names)
+    ]
+    figure, axes = small_multiples(titles, summary.sizes)
+    dot = 13.0 if len(axes) <= 4 else 6.0
     for camera, ax in enumerate(axes):
         kept, rejected = summary.kept[:, camera], summary.rejected[:, camera]
         observed = summary.pixels[:, camera]
         projected = observed + summary.residuals[:, camera]
-        ax.scatter(*observed[kept].T, s=13, facecolors="none", edgecolors="#3b82d0", linewidths=0.6, rasterized=True)
-        ax.scatter(*projected[kept].T, s=9, marker="+", c="#e08214", linewidths=0.6, rasterized=True)
+        ax.scatter(*observed[kept].T, s=dot, facecolors="none", edgecolors="#3b82d0", linewidths=0.6, rasterized=True)
+        ax.scatter(*projected[kept].T, s=0.7 * dot, marker="+", c="#e08214", linewidths=0.6, rasterized=True)
         ax.add_collection(
-            LineCollection(np.stack([observed, projected], 1)[rejected], colors=BAD, linewidths=0.7, rasterized=True)
+            LineCollection(
+                list(np.stack([observed, projected], 1)[rejected]), colors=BAD, linewidths=0.7, rasterized=True
+            )
         )
-        ax.scatter(*observed[rejected].T, s=16, marker="x", c=BAD, linewidths=0.9, rasterized=True)
-        mean = summary.errors[kept, camera].mean() if kept.any() else float("nan")
-        ax.set_title(f"{summary.names[camera]}: {kept.sum()} kept, mean {mean:.2f} px; {rejected.sum()} rejected")
+        ax.scatter(*observed[rejected].T, s=1.2 * dot, marker="x", c=BAD, linewidths=0.9, rasterized=True)
     return figure
 
 
 def vector_field(summary: Summary) -> Figure:
     """Residuals as magnified arrows, and their mean in every cell of the image in bold."""
-    figure, axes = small_multiples(len(summary.names), summary.sizes)
     typical = max(float(np.median(summary.errors[summary.kept])) if summary.kept.any() else 1.0, 1e-6)
+    zooms = [round_number(0.02 * width / typical) for width in summary.sizes[:, 0]]
+    titles = [f"{short(name)}: arrows × {zoom:g}" for name, zoom in zip(summary.names, zooms, strict=True)]
+    figure, axes = small_multiples(titles, summary.sizes)
     for camera, ax in enumerate(axes):
         kept = summary.kept[:, camera]
         start, residual = summary.pixels[kept, camera], summary.residuals[kept, camera]
         size = summary.sizes[camera]
-        zoom = round_number(0.02 * size[0] / typical)
+        zoom = zooms[camera]
         ax.add_collection(
             LineCollection(
-                np.stack([start, start + zoom * residual], 1), colors="#3b82d0", linewidths=0.5, alpha=0.7,
+                list(np.stack([start, start + zoom * residual], 1)), colors="#3b82d0", linewidths=0.5, alpha=0.7,
                 rasterized=True,
             )
         )  # fmt: skip
@@ -52,7 +61,6 @@ def vector_field(summary: Summary) -> Figure:
         middle = (np.stack([column, row], 1) + 0.5) * cell
         arrow = zoom * field[row, column]
         ax.quiver(*middle.T, *arrow.T, angles="xy", scale_units="xy", scale=1, color=INK, width=0.006, zorder=3)
-        ax.set_title(f"{summary.names[camera]}: arrows × {zoom:g}")
     return figure
 
 
@@ -65,7 +73,7 @@ def error_distribution(summary: Summary) -> Figure:
 
 
 def over_time(summary: Summary) -> Figure:
-    """Every error over the recording, its running median for each camera, and marks where observations were rejected."""
+    """Every error over the recording, running medians of each camera, and marks where observations were rejected."""
     figure = Figure(figsize=(10.0, 3.3), layout="constrained")
     ax = figure.add_subplot()
     when = summary.frame_ids if summary.times is None else summary.times
@@ -102,18 +110,18 @@ def kept_against_mean(summary: Summary) -> Figure:
     top = 0.0
     for camera, (name, color) in enumerate(zip(summary.names, camera_colors(len(summary.names)), strict=True)):
         errors = summary.errors[summary.judged[:, camera], camera]
-        fraction, mean = _thinned(*kept_curve(errors))
-        ax.plot(100 * fraction, mean, color=color, lw=1.1, label=name)
+        fraction, value = _thinned(*kept_curve(errors))
+        ax.plot(100 * fraction, value, color=color, lw=1.1, label=name)
         top = max(top, mean_of_best(errors, 0.97))
-    fraction, mean = _thinned(*kept_curve(everything))
-    ax.plot(100 * fraction, mean, color=INK, lw=2.2, label="all")
+    fraction, value = _thinned(*kept_curve(everything))
+    ax.plot(100 * fraction, value, color=INK, lw=2.2, label="all")
     top = 1.4 * max(top, mean_of_best(everything, 0.97), 1e-3)
     for mark in (BEST, 1.0):
         value = mean_of_best(everything, mark)
         ax.axvline(100 * mark, color=FAINT, lw=0.8, ls="--")
         ax.plot(100 * mark, min(value, top), "o" if value <= top else "^", color=INK, ms=5, clip_on=False, zorder=4)
         ax.annotate(
-            f"{100 * mark:.0f} %: {value:.3f} px", (100 * mark, min(value, top)), xytext=(-7, 6),
+            f"{mark:.0%}: {value:.3f} px", (100 * mark, min(value, top)), xytext=(-7, 6),
             textcoords="offset points", ha="right", weight="bold",
         )  # fmt: skip
     ax.set(xlim=(0, 100.5), ylim=(0, top), xlabel="observations kept, best first, %", ylabel="mean error, px")
@@ -126,7 +134,7 @@ def _histogram(summary: Summary, ax: Axes) -> None:
     sigma = max(summary.sigma_px, 1e-9)
     top = max(5.0 * sigma, float(np.quantile(errors, 0.995)) if errors.size else 0.0)
     edges = np.linspace(0.0, top, 50)
-    ax.hist(np.minimum(errors, top), edges, density=True, color="#3b82d0", alpha=0.35, label="all cameras")
+    ax.hist(np.minimum(errors, top), edges.tolist(), density=True, color="#3b82d0", alpha=0.35, label="all cameras")
     for camera, color in enumerate(camera_colors(len(summary.names))):
         mine = summary.errors[summary.kept[:, camera], camera]
         if mine.size:
@@ -160,7 +168,7 @@ def _against_radius(summary: Summary, ax: Axes) -> None:
     _legend(ax, len(summary.names))
 
 
-def _legend(ax: Axes, entries: int, loc: str = "upper right") -> None:
+def _legend(ax: Axes, entries: int, loc: Literal["upper left", "upper right"] = "upper right") -> None:
     if entries <= 8:
         ax.legend(loc=loc, ncols=min(entries, 5))
     else:

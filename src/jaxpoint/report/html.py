@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from importlib import metadata
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import jinja2
 import numpy as np
 from jaxtyping import UInt8
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.result import Calibration, PairTable
@@ -76,7 +77,8 @@ def write_report(
         judgement=judge_summary(summary, calibration, advice, settings, align_settings),
         tiles=_tiles(summary, calibration, seconds),
         advice=advice or [_NO_ADVICE],
-        cameras=tables.camera_table(summary, np.asarray(calibration.rig.cameras.distortion.coefficients).tolist()),
+        fits=tables.fit_table(summary),
+        lenses=tables.lens_table(summary),
         figures=figures,
         rig_caption=_rig_caption(calibration.alignment),
         space_caption=_space_caption(summary.scene),
@@ -284,8 +286,8 @@ def _rig_caption(alignment: Alignment | None) -> str:
 
 def _space_caption(scene: Scene) -> str:
     text = (
-        "Places of the light, darker where more cameras agree on them. The calibration is sure where dots are dense and "
-        "dark; where there are none it extrapolates."
+        "Places of the light, darker where more cameras agree on them. The calibration is sure where dots are dense "
+        "and dark; where there are none it extrapolates."
     )
     return text if scene.unit == "m" else text + " Upright is guessed from the cameras."
 
@@ -294,12 +296,12 @@ def _rig_data(scenes: list[tuple[str, Scene]], summary: Summary) -> Markup:
     """The scenes as JSON for the interactive view, safe inside a script element."""
     data = []
     for title, scene in scenes:
-        low, high = figures_scene.bounds(scene)
+        cones = figures_scene.frusta(scene, summary.sizes, summary.focal, summary.center)
+        low, high = figures_scene.bounds(scene, cones)
         chosen = np.linspace(0, len(scene.points) - 1, min(_MAX_POINTS, len(scene.points))).astype(int)
         points = scene.points[chosen]
         points = points[((points >= low) & (points <= high)).all(axis=1)]
         digits = max(0, 4 - int(np.floor(np.log10((high - low).max()))))
-        cones = figures_scene.frusta(scene, summary.sizes, summary.focal, summary.center)
         data.append(
             {
                 "title": title,
@@ -329,7 +331,13 @@ def _render(template: str, **context: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["code"] = _code
     return environment.get_template(template).render(version=metadata.version("jaxpoint"), **context)
+
+
+def _code(text: str) -> Markup:
+    """The text with what stands between backticks set as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _write(path: StrPath, page: str) -> None:

@@ -46,6 +46,9 @@ def summarise(calibration: Calibration) -> Summary:
         shared=np.asarray(calibration.pairs.shared),
         focal=focal,
         center=center,
+        distortion=np.concatenate(
+            [np.reshape(leaf, (len(focal), -1)) for leaf in jax.tree.leaves(cameras.distortion)], 1
+        ),
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
     )

@@ -78,6 +78,7 @@ class Summary:
     shared: Int[np.ndarray, "C C"]
     focal: Float[np.ndarray, "C 2"]
     center: Float[np.ndarray, "C 2"]
+    distortion: Float[np.ndarray, "C K"]  # the lens model's own numbers
     scene: Scene
     lens: Lens
 
@@ -169,16 +170,8 @@ def cell_means(
     return total / np.maximum(count, 1)[..., None], count
 
 
-def worst_outliers(summary: Summary, count: int = 12) -> list[tuple[int, int, float, Verdict]]:
-    """Camera, frame id, error (px) and verdict of the observations with the largest residuals."""
-    frames, cameras = np.nonzero(summary.rejected)
-    order = np.argsort(-summary.errors[frames, cameras], kind="stable")[:count]
-    return [
-        (
-            int(cameras[i]),
-            int(summary.frame_ids[frames[i]]),
-            float(summary.errors[frames[i], cameras[i]]),
-            Verdict(int(summary.verdicts[frames[i], cameras[i]])),
-        )
-        for i in order
-    ]
+def worst_outliers(summary: Summary, count: int = 12) -> list[tuple[int, int]]:
+    """Camera and row (place in F) of the rejected observations with the largest residuals, worst first."""
+    rows, cameras = np.nonzero(summary.rejected)
+    order = np.argsort(-summary.errors[rows, cameras], kind="stable")[:count]
+    return [(int(cameras[i]), int(rows[i])) for i in order]

@@ -20,6 +20,9 @@ _REASONS = {
 }
 
 
+_UNSURE = 0.45  # speeds less alike than this tell nothing about synchrony
+
+
 @dataclass(frozen=True)
 class Table:
     """Text, ready to be shown; the first cell of a row is its head."""
@@ -48,37 +51,47 @@ class Matrix:
     inliers: bool = field(default=False)
 
 
-def camera_table(summary: Summary, coefficients: Sequence[Sequence[float]]) -> Table:
-    """One row a camera: what it saw, how well it fits, its lens and its place.
-
-    Args:
-        coefficients: distortion of each camera, in OpenCV's order.
-    """
-    unit = "m" if summary.scene.unit == "m" else "solver's unit"
+def fit_table(summary: Summary) -> Table:
+    """One row a camera: what it saw, what was kept of it, and how well that fits."""
     header = [
-        "Camera", "Image", "Seen", "Kept", "Mean\nof kept", "95 %\nbelow", "Mean\nof all", "Focal length",
-        "Principal point", "View\nacross", f"Position, {unit}", "Distortion",
+        "Camera", "Seen", "Kept", "Rejected", "Seen by it\nalone", "Mean error\nof kept", "95% of\nkept below",
+        "Mean error\nof all",
     ]  # fmt: skip
     rows = []
     for c, name in enumerate(summary.names):
-        kept, judged = summary.kept[:, c], summary.judged[:, c]
+        kept, judged, seen = summary.kept[:, c], summary.judged[:, c], summary.visible[:, c]
         errors = summary.errors[:, c]
-        seen = int(summary.visible[:, c].sum())
+        rows.append([
+            name,
+            f"{seen.sum():,}",
+            f"{kept.sum():,} ({kept.sum() / max(seen.sum(), 1):.1%})",
+            f"{summary.rejected[:, c].sum():,}",
+            f"{(seen & ~judged).sum():,}",
+            _px(mean(errors[kept])),
+            _px(float(np.quantile(errors[kept], 0.95)) if kept.any() else float("nan")),
+            _px(mean(errors[judged])),
+        ])  # fmt: skip
+    return Table(header, rows)
+
+
+def lens_table(summary: Summary) -> Table:
+    """One row a camera: its lens and its place."""
+    unit = "m" if summary.scene.unit == "m" else "solver's unit"
+    header = [
+        "Camera", "Image", "Focal length", "Principal point", "View\nacross", "Distortion", f"Position, {unit}",
+    ]  # fmt: skip
+    rows = []
+    for c, name in enumerate(summary.names):
         fx, fy = summary.focal[c]
         angle = np.rad2deg(2 * np.arctan(summary.sizes[c, 0] / 2 / fx))
         rows.append([
             name,
             "{} × {}".format(*summary.sizes[c]),
-            f"{seen:,}",
-            f"{kept.sum() / max(seen, 1):.1%}",
-            _px(mean(errors[kept])),
-            _px(float(np.quantile(errors[kept], 0.95)) if kept.any() else float("nan")),
-            _px(mean(errors[judged])),
             f"{fx:.1f}" if abs(fx - fy) < 1e-9 * fx else f"{fx:.1f}, {fy:.1f}",
             "{:.1f}, {:.1f}".format(*summary.center[c]),
             f"{angle:.0f}°",
+            ", ".join(f"{k:.4g}" for k in _without_tail(summary.distortion[c].tolist())) or "none",
             "{:.3f}, {:.3f}, {:.3f}".format(*summary.scene.centers[c]),
-            ", ".join(f"{k:.4g}" for k in _without_tail(coefficients[c])) or "none",
         ])  # fmt: skip
     return Table(header, rows)
 
@@ -114,7 +127,10 @@ def lag_matrix(names: Sequence[str], lag: Int[np.ndarray, "C C"], likeness: Floa
                 row.append(Cell("·", kind="own", hint="" if a == b else "too few frames to compare"))
                 continue
             sure = float(np.clip(likeness[a, b], 0.0, 1.0))
-            wrong = "wrong" if abs(lag[a, b]) >= 2 and sure > 0.5 else ""
+            if sure < _UNSURE:
+                row.append(Cell("?", kind="own", small=f"{sure:.2f}", hint=f"{name} and {other} are not alike"))
+                continue
+            wrong = "wrong" if abs(lag[a, b]) >= 2 else ""
             row.append(Cell(f"{lag[a, b]:+d}" if lag[a, b] else "0", sure, f"{sure:.2f}", wrong, f"{name} to {other}"))
         rows.append(row)
     return Matrix(names, rows)
@@ -133,13 +149,19 @@ def kept_table(summary: Summary) -> Table:
 
 def outlier_table(summary: Summary) -> Table:
     """The observations with the largest residuals, worst first."""
-    return Table(
-        ["Camera", "Frame", "Error, px", "Why it was rejected"],
-        [
-            [summary.names[camera], str(frame), f"{error:.1f}", _REASONS.get(verdict, verdict.name.lower())]
-            for camera, frame, error, verdict in worst_outliers(summary)
-        ],
-    )
+    rows = []
+    for camera, row in worst_outliers(summary):
+        found = summary.pixels[row, camera]
+        verdict = Verdict(int(summary.verdicts[row, camera]))
+        rows.append([
+            summary.names[camera],
+            str(summary.frame_ids[row]),
+            f"{summary.errors[row, camera]:.1f}",
+            "{:.0f}, {:.0f}".format(*found),
+            "{:.0f}, {:.0f}".format(*(found + summary.residuals[row, camera])),
+            _REASONS.get(verdict, verdict.name.lower()),
+        ])  # fmt: skip
+    return Table(["Camera", "Frame", "Error, px", "Found at", "Expected at", "Why it was rejected"], rows)
 
 
 def stage_list(stages: Sequence[Stage]) -> list[dict[str, Any]]:
@@ -158,7 +180,7 @@ def origin_table(provenance: Mapping[str, Any] | None, seconds: Mapping[str, Any
     spent = {name: f"{value:.2f}" for name, value in seconds.items() if value is not None}
     if spent:
         rows.append(["seconds", as_text(spent)])
-    return Table(["", ""], rows) if rows else Table([], [])
+    return Table([], rows)
 
 
 def as_text(value: Any) -> str:

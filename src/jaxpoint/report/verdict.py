@@ -102,7 +102,7 @@ def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
     return [
         Check("Worst camera", f"{names[worst]}, {means[worst]:.3f} px", f"at most {limit:g} px",
               "good" if means[worst] <= limit else "care"),
-        Check("Camera with the fewest kept", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
+        Check("Fewest kept in a camera", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
               "good" if kept[fewest] >= settings.min_kept else "care"),
         *_connections(names, summary.shared),
         *_coverage(names, summary.pixels, summary.visible, summary.sizes),

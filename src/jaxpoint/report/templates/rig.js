@@ -11,12 +11,12 @@
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     const middle = scene.low.map((low, i) => (low + scene.high[i]) / 2);
     const span = Math.hypot(...scene.low.map((low, i) => scene.high[i] - low));
-    const scale = view.zoom * Math.min(0.82 * width, 1.15 * height) / span;
+    const scale = view.zoom * Math.min(0.95 * width, 1.3 * height) / span;
     const [cy, sy, cp, sp] = [Math.cos(view.yaw), Math.sin(view.yaw), Math.cos(view.pitch), Math.sin(view.pitch)];
     return (p) => {
       const [x, y, z] = p.map((value, i) => value - middle[i]);
       const [right, back] = [cy * x - sy * y, sy * x + cy * y];
-      return [width / 2 + scale * right, height / 2 - scale * (sp * back + cp * z)];
+      return [width / 2 + scale * right, 0.47 * height - scale * (sp * back + cp * z)];
     };
   }
 
