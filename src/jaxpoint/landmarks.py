@@ -65,32 +65,26 @@ def locate(
     Raises:
         InsufficientDataError: a name is none of these, is clicked in fewer than two images, or its frame has no point.
     """
-    clicked = {} if clicks is None else {name: i for i, name in enumerate(clicks.names)}
     with jax.enable_x64(True):
         centres = dict(zip(calibration.rig.names, np.asarray(calibration.rig.positions)))
-    frames = {str(frame): i for i, frame in enumerate(calibration.tracks.frame_ids)}
-    points, warnings = np.zeros((len(names), 3)), []
-    for i, name in enumerate(names):
-        if name in clicked and clicks is not None:
+    clicked = () if clicks is None else clicks.names
+    rows = {str(frame): i for i, frame in enumerate(calibration.tracks.frame_ids)}
+    places: dict[str, np.ndarray] = {}
+    warnings: tuple[str, ...] = ()
+    if clicks is not None and (chosen := [name for name in names if name in clicked]):
+        found = triangulate_clicks(calibration, clicks, chosen)
+        places.update(zip(chosen, np.asarray(found.points)))
+        warnings = _misclicks(chosen, np.asarray(found.residuals))
+    for name in names:
+        if name in places:
             continue
         if name in centres:
-            points[i] = centres[name]
-        elif name in frames and calibration.point_valid[frames[name]]:
-            points[i] = calibration.points[frames[name]]
+            places[name] = centres[name]
+        elif name in rows and calibration.point_valid[rows[name]]:
+            places[name] = calibration.points[rows[name]]
         else:
-            raise InsufficientDataError(_unknown(name, name in frames, clicks is not None))
-    chosen = [i for i, name in enumerate(names) if name in clicked]
-    if clicks is not None and chosen:
-        index = [clicked[names[i]] for i in chosen]
-        found = triangulate_clicks(calibration, clicks, [names[i] for i in chosen])
-        points[chosen] = np.asarray(found.points)
-        lengths = np.linalg.norm(np.asarray(found.residuals), axis=-1) * clicks.visible[index]
-        warnings = [
-            f"The clicks on '{names[i]}' miss each other by {worst:.0f} px; look at them again."
-            for i, worst in zip(chosen, lengths.max(axis=1))
-            if worst > MISCLICK_PX
-        ]
-    return points, tuple(warnings)
+            raise InsufficientDataError(_unknown(name, name in rows, clicks is not None))
+    return np.stack([places[name] for name in names]), warnings
 
 
 def triangulate_clicks(
@@ -108,9 +102,19 @@ def triangulate_clicks(
             raise InsufficientDataError(
                 f"'{name}' is clicked in {views} images; click it in two or more (landmark_pixels: name,camera,x,y)."
             )
-    index = [places[name] for name in names]
-    with jax.enable_x64(True):
-        return triangulate(calibration.rig, clicks.pixels[index], clicks.visible[index], sigma_px=sigma_px)
+    index = np.array([places[name] for name in names])
+    with jax.enable_x64(True):  # all clicks at once, whichever are asked for: one shape, one compilation
+        found = triangulate(calibration.rig, clicks.pixels, clicks.visible, sigma_px=sigma_px)
+        return jax.tree.map(lambda leaf: leaf[index], found)
+
+
+def _misclicks(names: Sequence[str], residuals: Float[np.ndarray, "N C 2"]) -> tuple[str, ...]:
+    worst = np.linalg.norm(residuals, axis=-1).max(axis=1)
+    return tuple(
+        f"The clicks on '{name}' miss each other by {error:.0f} px; look at them again."
+        for name, error in zip(names, worst)
+        if error > MISCLICK_PX
+    )
 
 
 def _unknown(name: str, is_frame: bool, has_clicks: bool) -> str:

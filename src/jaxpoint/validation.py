@@ -5,13 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.result import Calibration
+from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -28,11 +30,11 @@ class LengthValidation:
     length_m: Float[np.ndarray, " L"]  # measured by hand
     triangulated_m: Float[np.ndarray, " L"]
     error_mm: Float[np.ndarray, " L"]  # triangulated minus measured
-    sigma_mm: Float[np.ndarray, " L"]  # what the noise of the clicks allows, one standard deviation
+    sigma_mm: Float[np.ndarray, " L"]  # one standard deviation from the clicks and, where known, the cameras
     independent: Bool[np.ndarray, " L"]  # False where both ends took part in the alignment
     mean_mm: float  # of the absolute errors of the independent lengths
     max_mm: float
-    expected_mean_mm: float  # mean absolute error that the noise of the clicks alone would give
+    expected_mean_mm: float  # mean absolute error that `sigma_mm` lets expect
     count: int  # independent lengths
     warnings: tuple[str, ...] = ()
 
@@ -96,18 +98,11 @@ def validate_lengths(
         raise InsufficientDataError(
             f"All {len(lengths.names)} lengths end at points used for the alignment; measure some between other points."
         )
-    first = triangulate_clicks(calibration, clicks, [a for a, _ in lengths.ends], sigma_px)
-    second = triangulate_clicks(calibration, clicks, [b for _, b in lengths.ends], sigma_px)
-    apart = np.asarray(second.points) - np.asarray(first.points)
-    distance = np.linalg.norm(apart, axis=1)
-    along = apart / np.where(distance > 0, distance, 1.0)[:, None]
-    covariance = np.asarray(first.covariance) + np.asarray(second.covariance)
-    sigma_mm = 1e3 * np.sqrt(np.einsum("li,lij,lj->l", along, covariance, along))
-    error_mm = 1e3 * (distance - lengths.length_m)
-    weak = ~(np.asarray(first.valid) & np.asarray(second.valid))
+    distance, sigma, valid = _triangulated_lengths(calibration, lengths, clicks, sigma_px)
+    error_mm, sigma_mm = 1e3 * (distance - lengths.length_m), 1e3 * sigma
     warnings = [
         f"Length '{name}': an end lies behind a camera or is seen under less than 2 degrees; click it in more images."
-        for name in np.array(lengths.names)[weak]
+        for name in np.array(lengths.names)[~valid]
     ]
     if not independent.all():
         warnings.append(f"{int((~independent).sum())} lengths end at points of the alignment and are not counted.")
@@ -124,6 +119,37 @@ def validate_lengths(
         int(independent.sum()),
         tuple(warnings),
     )
+
+
+def _triangulated_lengths(
+    calibration: Calibration, lengths: Lengths, clicks: LandmarkPixels, sigma_px: float
+) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], Bool[np.ndarray, " L"]]:
+    """Each length and its standard deviation, m, and whether both ends are seen well enough."""
+    names = list(dict.fromkeys(name for ends in lengths.ends for name in ends))
+    a, b = np.array([[names.index(name) for name in ends] for ends in lengths.ends]).T
+    found = triangulate_clicks(calibration, clicks, names, sigma_px)
+    points, covariance, valid = (np.asarray(part) for part in (found.points, found.covariance, found.valid))
+    distance = np.linalg.norm(points[b] - points[a], axis=1)
+    along = (points[b] - points[a]) / np.where(distance > 0, distance, 1.0)[:, None]
+    variance = np.einsum("li,lij,lj->l", along, covariance[a] + covariance[b], along)
+    if calibration.camera_covariance is not None:
+        moved = _moved_by_cameras(calibration.rig, clicks)[[clicks.names.index(name) for name in names]]
+        change = np.einsum("li,lid->ld", along, moved[b] - moved[a])
+        variance += np.einsum("ld,de,le->l", change, calibration.camera_covariance, change)
+    return distance, np.sqrt(variance), valid[a] & valid[b]
+
+
+def _moved_by_cameras(rig: CameraRig, clicks: LandmarkPixels) -> Float[np.ndarray, "N 3 D"]:
+    """Derivative of the clicked points by the cameras' 15 C numbers; both ends of a length share their errors."""
+
+    @jax.jit
+    def points(changes: Float[Array, "C 15"]) -> Float[Array, "N 3"]:
+        cameras = jax.vmap(lambda camera, change: camera.perturbed(change))(rig.cameras, changes)
+        return triangulate(eqx.tree_at(lambda r: r.cameras, rig, cameras), clicks.pixels, clicks.visible).points
+
+    with jax.enable_x64(True):
+        derivative = jax.jacfwd(points)(jnp.zeros((len(rig), PARAMETERS)))
+        return np.asarray(derivative).reshape(len(clicks.names), 3, -1)
 
 
 def validate_held_out(rig: CameraRig, tracks: Tracks) -> HeldOutValidation:

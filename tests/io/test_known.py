@@ -7,7 +7,6 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.known import (
     read_camera_centres,
-    read_intrinsics,
     read_landmark_pixels,
     read_landmarks,
     read_lengths,
@@ -89,18 +88,3 @@ def test_camera_centres_must_be_metric(tmp_path):
     write_calibration_json(tmp_path / "calibration.json", room.rig, unit="arbitrary")
     with pytest.raises(FileFormatError, match="is in the unit 'arbitrary'"):
         read_camera_centres(tmp_path / "calibration.json", room.tracks.names)
-
-
-def test_intrinsics(tmp_path, data_folder):
-    room = random_room(0, cameras=3)
-    names, sizes = room.tracks.names, room.tracks.image_sizes
-    write_calibration_json(tmp_path / "calibration.json", room.rig)
-    rig = read_intrinsics(tmp_path / "calibration.json", names[::-1], sizes)
-    np.testing.assert_array_equal(np.asarray(rig.cameras.focal)[:, 0], room.focal[::-1])
-    assert rig.names == names[::-1]
-    with pytest.raises(FileFormatError, match="no camera 'new'"):
-        read_intrinsics(tmp_path / "calibration.json", ["new"], sizes[:1])
-    with pytest.raises(FileFormatError, match="calibrate its lens at the size recorded"):
-        read_intrinsics(tmp_path / "calibration.json", names, sizes // 2)
-    rig = read_intrinsics(data_folder / "svoboda_arctic4", ["a", "b", "c", "d"], np.tile([640, 480], (4, 1)))
-    assert rig.names == ("a", "b", "c", "d")

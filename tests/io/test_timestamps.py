@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxpoint.errors import FileFormatError, InsufficientDataError
-from jaxpoint.io.timestamps import read_timestamps
+from jaxpoint.io.timestamps import read_timestamps, synchronise
+from jaxpoint.tracks import Tracks
 
 # Camera 1 starts one frame later and camera 0 drops sync index 12; rows in no order.
 ROWS = [(10, 0, 0, 1.0), (12, 1, 1, 1.21), (11, 1, 0, 1.11), (11, 0, 1, 1.1), (13, 0, 2, 1.3), (13, 1, 2, 1.31)]
@@ -28,16 +29,21 @@ def test_frames_of_each_moment(tmp_path, frame_index, camera):
     np.testing.assert_allclose(stamps.times, [1.0, 1.105, 1.21, 1.305])
 
 
-def test_gather_brings_values_to_common_moments(tmp_path):
-    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS)).select(["cam_1", "cam_0"])
-    first, second = np.array([[1.0, 2], [3, 4], [5, 6]]), np.array([[10.0, 20], [30, 40], [50, 60]])
-    together = stamps.gather([first, second], fill=np.nan)
-    expected = [[[np.nan] * 2, [10, 20]], [[1, 2], [30, 40]], [[3, 4], [np.nan] * 2], [[5, 6], [50, 60]]]
-    np.testing.assert_array_equal(together, expected)
-    seen = stamps.gather([np.array([True, False, True]), np.array([True, True, True])], fill=False)
-    np.testing.assert_array_equal(seen, [[0, 1], [1, 1], [0, 0], [1, 1]])
-    with pytest.raises(InsufficientDataError, match="Camera 'cam_1' has 2 frames, but the timestamps speak of frame 2"):
-        stamps.gather([first[:2], second], fill=0)
+def test_tracks_come_to_common_moments(tmp_path):
+    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS))
+    own = np.stack([np.array([[1.0, 2], [3, 4], [5, 6]]), np.array([[10.0, 20], [30, 40], [50, 60]])], axis=1)
+    own[1, 0] = np.nan  # camera 1 sees nothing in its own frame 1
+    tracks = Tracks.from_pixels(own, np.array([[640, 480], [1280, 720]]), names=("cam_1", "cam_0"))
+    together = synchronise(tracks, stamps)
+    nothing = [0, 0]
+    expected = [[nothing, [10, 20]], [[1, 2], [30, 40]], [nothing, nothing], [[5, 6], [50, 60]]]
+    np.testing.assert_array_equal(together.pixels, expected)
+    np.testing.assert_array_equal(together.visible, [[0, 1], [1, 1], [0, 0], [1, 1]])
+    assert together.names == ("cam_1", "cam_0")
+    assert together.frame_ids.tolist() == [10, 11, 12, 13]
+    np.testing.assert_allclose(together.times, [1.0, 1.105, 1.21, 1.305])
+    with pytest.raises(InsufficientDataError, match="frame 2 of camera 'cam_1', but the tracks end at frame 1"):
+        synchronise(tracks.select_frames(np.arange(2)), stamps)
 
 
 def test_select_by_any_spelling(tmp_path):

@@ -36,6 +36,7 @@ import numpy as np
 import tomli_w
 from jaxtyping import Float
 
+from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, natural_key, read_text, replacing
@@ -116,7 +117,7 @@ def write_calibration_json(
         provenance: anything JSON can hold.
 
     Raises:
-        ValueError: a number is not finite, or the covariance has another shape.
+        ValueError: a number is not finite, a lens is not Brown's, or the covariance has another shape.
     """
     size = len(CAMERA_PARAMETERS) * len(rig)
     if covariance is not None and np.shape(covariance) != (size, size):
@@ -176,7 +177,7 @@ def write_calibration_toml(
         metadata: further values of `[metadata]`; anipose knows `adjusted` and `error` (px).
 
     Raises:
-        ValueError: a number is not finite.
+        ValueError: a number is not finite, or a lens is not Brown's.
     """
     content: dict[str, Any] = {}
     for i, camera in enumerate(_entries(rig)):
@@ -336,6 +337,8 @@ def _entries(rig: CameraRig) -> list[_CameraEntry]:
     k = np.tile(np.eye(3), (count, 1, 1))
     k[:, [0, 1], [0, 1]] = focal
     k[:, :2, 2] = center
+    if not isinstance(cameras.distortion, Brown):
+        raise ValueError(f"Only Brown's distortion can be written, not {type(cameras.distortion).__name__}.")
     distortion = np.asarray(cameras.distortion.coefficients, float)
     rotation = np.asarray(cameras.cam_from_world.rotation, float)
     translation = np.asarray(cameras.cam_from_world.translation, float)

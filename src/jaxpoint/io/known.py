@@ -13,13 +13,11 @@ from pathlib import Path
 
 import jax
 import numpy as np
-from jaxtyping import Int
 
-from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import Row, StrPath, read_table
-from jaxpoint.io.svoboda import read_matrix, read_rad_folder
+from jaxpoint.io.svoboda import read_matrix
 from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths
 
 
@@ -112,36 +110,6 @@ def read_camera_centres(path: StrPath, cameras: Sequence[str]) -> Landmarks:
             f"{path} names {', '.join(known.names)}, none of which is a camera of the rig ({', '.join(cameras)})."
         )
     return known.select(names)
-
-
-def read_intrinsics(
-    path: StrPath, cameras: Sequence[str], image_sizes: Int[np.ndarray, "C 2"], one_based: bool = False
-) -> CameraRig:
-    """Known lenses of the cameras, in the order of `cameras`; the poses of the rig mean nothing.
-
-    From a calibration (`calibration.json`, `calibration.toml`, `camera_array.toml`; by names) or a folder of `*.rad`
-    files (one a camera, in order).
-
-    Raises:
-        FileFormatError: it is neither, lacks a camera, or was made for images of another size.
-    """
-    path = Path(path)
-    if path.is_dir() and not (path / "calibration.json").exists():
-        return read_rad_folder(path, image_sizes, tuple(cameras), one_based)
-    rig = read_calibration(path).rig
-    missing = [name for name in cameras if name not in rig.names]
-    if missing:
-        raise FileFormatError(f"{path} has no camera '{missing[0]}', only {', '.join(rig.names)}; name them alike.")
-    with jax.enable_x64(True):
-        rig = rig.select([rig.names.index(name) for name in cameras])
-    different = (np.asarray(rig.image_sizes) != image_sizes).any(axis=1)
-    if different.any():
-        camera = int(different.argmax())
-        raise FileFormatError(
-            f"{path}: camera '{cameras[camera]}' has images of {np.asarray(rig.image_sizes)[camera].tolist()} px, the "
-            f"tracks of {np.asarray(image_sizes)[camera].tolist()} px; calibrate its lens at the size recorded."
-        )
-    return rig
 
 
 def _unique(rows: list[Row], column: str) -> tuple[str, ...]:

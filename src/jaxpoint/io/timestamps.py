@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Shaped
+from jaxtyping import Bool, Float, Int
 
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.files import Row, StrPath, natural_key, read_table
+from jaxpoint.tracks import Tracks
 
 
 @dataclass(frozen=True)
@@ -55,24 +56,36 @@ class Timestamps:
             self.frame_time[moments][:, columns],
         )
 
-    def gather(self, per_camera: Sequence[Shaped[np.ndarray, "_ ..."]], fill: float) -> Shaped[np.ndarray, "F C ..."]:
-        """Values of each camera's own frames (N_c, ...), brought to the common moments; `fill` where there is none.
 
-        Raises:
-            InsufficientDataError: a file has fewer frames than the timestamps say.
-        """
-        columns = []
-        for camera, values in enumerate(per_camera):
-            index = self.frame_index[:, camera]
-            if index.max() >= len(values):
-                raise InsufficientDataError(
-                    f"Camera '{self.cameras[camera]}' has {len(values)} frames, but the timestamps speak of frame "
-                    f"{index.max()}; use the timestamps.csv of this recording."
-                )
-            column = np.full((len(index), *values.shape[1:]), fill, values.dtype)
-            column[index >= 0] = values[index[index >= 0]]
-            columns.append(column)
-        return np.stack(columns, axis=1)
+def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
+    """Tracks on the common moments, from tracks whose frame numbers count each camera's own file from 0.
+
+    Frame ids become the sync indices, times the mean times. Frames that the timestamps do not name are left out.
+
+    Raises:
+        InsufficientDataError: a camera is not in the timestamps, or these speak of frames that the tracks have not.
+    """
+    stamps = timestamps.select(tracks.names)
+    last = int(tracks.frame_ids.max(initial=-1))
+    if stamps.frame_index.max() > last:
+        camera = int(stamps.frame_index.max(axis=0).argmax())
+        raise InsufficientDataError(
+            f"The timestamps speak of frame {stamps.frame_index.max()} of camera '{tracks.names[camera]}', but the "
+            f"tracks end at frame {last}; use the timestamps.csv of this recording."
+        )
+    row_of_frame = np.full(last + 1, -1)
+    row_of_frame[tracks.frame_ids] = np.arange(tracks.frames)
+    row = np.where(stamps.present, row_of_frame[stamps.frame_index], -1)
+    camera = np.arange(tracks.cameras)[None]
+    visible = (row >= 0) & tracks.visible[row, camera]
+    return Tracks(
+        np.where(visible[..., None], tracks.pixels[row, camera], 0.0),
+        visible,
+        tracks.image_sizes,
+        stamps.sync_indices,
+        stamps.times,
+        tracks.names,
+    )
 
 
 def _camera_key(name: str) -> str:
