@@ -47,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; what `jaxpoint` on the command line calls."""
     argv = list(sys.argv[1:] if argv is None else argv)
     console = Console("--json" in argv, "-v" in argv or "--verbose" in argv)
-    logging.basicConfig(level=logging.INFO if console.verbose else logging.WARNING, format="%(name)s: %(message)s")
+    logging.basicConfig(format="%(name)s: %(message)s")
+    logging.getLogger("jaxpoint").setLevel(logging.INFO if console.verbose else logging.WARNING)
     try:
         outcome = _run(parse(argv), console)
         console.show(outcome)
@@ -64,7 +65,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The outermost caller: a bug must end in one line and its exit code, with the traceback under -v.
         if _is_bad_input(error):
             return _fail(console, str(error), InsufficientDataError.exit_code)
-        logging.getLogger(__name__).info("The program failed here:", exc_info=error)
+        if console.verbose:
+            traceback.print_exception(error)
         return _fail(console, f"{type(error).__name__}: {error} (a bug; -v shows where)", JaxpointError.exit_code)
     if outcome.failure is None:
         return 0

@@ -41,7 +41,7 @@ class LedSettings:
     """The largest difference must exceed this many background deviations."""
     max_eccentricity: Fraction = 0.8
     """Blobs more elongated than this are motion blur."""
-    min_brightness: Fraction = 0.125
+    min_brightness: Fraction = 0.2
     """Robust only: a spot fainter than this fraction of the camera's median light is taken for a reflection."""
     min_frames: Count = 100
     """Fewest frames from which a background is learnt."""

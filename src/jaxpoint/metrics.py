@@ -17,14 +17,14 @@ def metrics(calibration: Calibration, detect_seconds: float | None = None) -> di
     """What `metrics.json` holds: strict JSON, with None for what does not exist.
 
     Reprojection errors are lengths of two-dimensional residuals in pixels, over the observations kept;
-    `mean_all_px` is over every visible observation of a frame that has a point (`observations.compared`).
+    `mean_all_px` is over every visible observation that has a residual, believed or not (`observations.compared`).
 
     Args:
         detect_seconds: how long the detection took that made the tracks, where known; it is added to the total.
     """
     kept, visible = calibration.kept, calibration.tracks.visible
     errors = calibration.errors
-    compared = visible & calibration.point_valid[:, None] & (calibration.verdicts != Verdict.FEW_VIEWS)
+    compared = visible & (errors > 0)
     seconds = {"detect": detect_seconds, "init": None, "adjust": None, **calibration.seconds}
     seconds["total"] = (detect_seconds or 0.0) + calibration.seconds.get("total", 0.0)
     return {
