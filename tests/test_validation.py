@@ -65,9 +65,8 @@ def test_exact_clicks_give_exact_lengths():
 
 
 def test_the_noise_of_the_clicks_predicts_the_errors():
-    errors = np.stack(
-        [validate_lengths(TRUTH, lengths(), noisy_clicks(2.0, s), sigma_px=2.0).error_mm for s in range(150)]
-    )
+    draws = [validate_lengths(TRUTH, lengths(), noisy_clicks(2.0, seed), sigma_px=2.0) for seed in range(150)]
+    errors = np.stack([draw.error_mm for draw in draws])
     predicted = validate_lengths(TRUTH, lengths(), CLICKS, sigma_px=2.0)
     ratio = errors.std(axis=0) / predicted.sigma_mm  # the spread of 150 draws is known to 6 %
     assert abs(ratio.mean() - 1) < 0.06
@@ -95,8 +94,7 @@ def test_uncertain_cameras_widen_the_prediction():
 
 
 def test_lengths_between_alignment_points_do_not_count():
-    known = CORNERS[:4]
-    alignment = align_to_landmarks(known + [[0, 0, 0], [0, 0, 0], [0, 0, 0], [0, 0, 0.001]], known, names=NAMES[:4])
+    alignment = align_to_landmarks(CORNERS[:4], CORNERS[:4], names=NAMES[:4])
     found = validate_lengths(dataclasses.replace(TRUTH, alignment=alignment), lengths(), CLICKS)
     assert found.count == 28 - 6
     assert any("6 lengths end at points of the alignment" in warning for warning in found.warnings)
@@ -192,9 +190,8 @@ def test_held_out_frames_that_cannot_be_used():
 
 
 def test_comparison_sees_through_a_similarity():
-    moved = calibration_of(
-        ROOM.rig.transformed(Similarity(2.5, np.eye(3)[[1, 2, 0]], np.array([1.0, 2, 3]))), "arbitrary"
-    )
+    solver = Similarity(2.5, np.eye(3)[[1, 2, 0]], np.array([1.0, 2, 3]))
+    moved = calibration_of(ROOM.rig.transformed(solver), "arbitrary")
     found = compare_calibrations(TRUTH, moved)
     assert found.unit == "mm"
     assert found.centre.max() < 1e-3
@@ -211,18 +208,20 @@ def test_comparison_names_the_camera_that_differs():
     assert int(np.argmax(found.centre)) == 3
     assert found.centre[3] == pytest.approx(20, abs=6)  # the others take over a part of its shift
     np.testing.assert_allclose(found.focal_px, [0, 0, 0, 2, 0], atol=1e-9)
-    assert int(np.argmax(found.per_camera_pixel_rms)) == 3
+    assert found.pixel_rms > 1
 
 
-def test_halves_without_a_frame_in_common():
-    even, odd = np.arange(0, 128, 2), np.arange(1, 128, 2)
+def test_parts_without_a_frame_in_common():
+    third = np.arange(128) % 3 == 0
 
-    def half(frames):
-        part = {name: getattr(TRUTH, name)[frames] for name in ("points", "point_valid", "residuals", "verdicts")}
-        return dataclasses.replace(TRUTH, tracks=ROOM.tracks.select_frames(frames), **part)
+    def part(frames):
+        fields = {name: getattr(TRUTH, name)[frames] for name in ("points", "point_valid", "residuals", "verdicts")}
+        return dataclasses.replace(TRUTH, tracks=ROOM.tracks.select_frames(frames), **fields)
 
-    assert compare_calibrations(half(even), half(odd)).pixel_rms < 1e-6
+    first, second = part(~third), part(third)
+    assert compare_calibrations(first, second).pixel_rms < 1e-6
+    hardly = dataclasses.replace(first, point_valid=np.arange(len(first.points)) < 2)
     with pytest.raises(InsufficientDataError, match="Only 2 frames have a point in both rigs"):
-        compare_calibrations(half(even[:2]), half(odd))
+        compare_calibrations(hardly, second)
     with pytest.raises(ValueError, match="The cameras differ"):
         compare_calibrations(TRUTH, dataclasses.replace(TRUTH, rig=ROOM.rig.select([1, 0, 2, 3, 4])))

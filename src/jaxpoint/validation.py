@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.camera.camera import PARAMETERS
+from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -133,23 +133,40 @@ def _triangulated_lengths(
     along = (points[b] - points[a]) / np.where(distance > 0, distance, 1.0)[:, None]
     variance = np.einsum("li,lij,lj->l", along, covariance[a] + covariance[b], along)
     if calibration.camera_covariance is not None:
-        moved = _moved_by_cameras(calibration.rig, clicks)[[clicks.names.index(name) for name in names]]
+        visible = clicks.visible[[clicks.names.index(name) for name in names]]
+        moved = _moved_by_cameras(calibration.rig, points, visible)
         change = np.einsum("li,lid->ld", along, moved[b] - moved[a])
         variance += np.einsum("ld,de,le->l", change, calibration.camera_covariance, change)
     return distance, np.sqrt(variance), valid[a] & valid[b]
 
 
-def _moved_by_cameras(rig: CameraRig, clicks: LandmarkPixels) -> Float[np.ndarray, "N 3 D"]:
-    """Derivative of the clicked points by the cameras' 15 C numbers; both ends of a length share their errors."""
+def _moved_by_cameras(
+    rig: CameraRig, points: Float[np.ndarray, "N 3"], visible: Bool[np.ndarray, "N C"]
+) -> Float[np.ndarray, "N 3 D"]:
+    """Derivative of triangulated points by the cameras' 15 C numbers: both move so that the pixel error stays least.
 
-    @jax.jit
-    def points(changes: Float[Array, "C 15"]) -> Float[Array, "N 3"]:
-        cameras = jax.vmap(lambda camera, change: camera.perturbed(change))(rig.cameras, changes)
-        return triangulate(eqx.tree_at(lambda r: r.cameras, rig, cameras), clicks.pixels, clicks.visible).points
-
+    Both ends of a length share the cameras' errors, so their covariances alone do not give the length's.
+    """
     with jax.enable_x64(True):
-        derivative = jax.jacfwd(points)(jnp.zeros((len(rig), PARAMETERS)))
-        return np.asarray(derivative).reshape(len(clicks.names), 3, -1)
+        by_point, by_numbers = (np.asarray(part) for part in _projection_derivatives(rig, jnp.asarray(points)))
+    by_point = np.where(visible[:, :, None, None], by_point, 0.0)
+    normal = np.einsum("ncki,nckj->nij", by_point, by_point)
+    pull = np.einsum("ncki,nckp->nicp", by_point, by_numbers).reshape(len(points), 3, -1)
+    return -np.linalg.solve(normal, pull)
+
+
+@eqx.filter_jit
+def _projection_derivatives(
+    rig: CameraRig, points: Float[Array, "N 3"]
+) -> tuple[Float[Array, "N C 2 3"], Float[Array, "N C 2 15"]]:
+    """Derivatives of every point's pixels by the point and by the numbers of the camera."""
+
+    def one(camera: Camera, point: Float[Array, "3"]) -> tuple[Array, Array]:
+        zero = jnp.zeros(PARAMETERS, point.dtype)
+        by_numbers = jax.jacfwd(lambda change: camera.perturbed(change).project(point))(zero)
+        return jax.jacfwd(camera.project)(point), by_numbers
+
+    return jax.vmap(jax.vmap(one, in_axes=(0, None)), in_axes=(None, 0))(rig.cameras, points)
 
 
 def validate_held_out(rig: CameraRig, tracks: Tracks) -> HeldOutValidation:
