@@ -122,6 +122,8 @@ class InputSettings:
     """The first pixel is (1, 1), as in files written by Matlab."""
     image_size: tuple[Count, Count] | None = None
     """Width and height in pixels of every camera, for files that do not say it."""
+    timestamps: Path | None = None
+    """timestamps.csv of caliscope, for tracks whose frame numbers count each camera's own file: brings them together."""
     intrinsics: Path | None = None
     """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
 

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from jaxpoint.commands.inputs import tracks_from
+from jaxpoint.config import InputSettings
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.timestamps import read_timestamps, synchronise
 from jaxpoint.tracks import Tracks
@@ -53,6 +55,14 @@ def test_select_by_any_spelling(tmp_path):
     assert stamps.select(["0"]).sync_indices.tolist() == [10, 11, 13]
     with pytest.raises(InsufficientDataError, match="no camera 'left', only 0, 1"):
         stamps.select(["left"])
+
+
+def test_a_command_brings_its_tracks_together(tmp_path):
+    lines = ["frame,camera,x,y", "0,cam_0,10,20", "0,cam_1,1,2", "2,cam_1,5,6", "2,cam_0,50,60"]
+    (tmp_path / "light.csv").write_text("\n".join(lines) + "\n")
+    stamps = write(tmp_path / "timestamps.csv", ROWS)
+    tracks = tracks_from(tmp_path / "light.csv", InputSettings(image_size=(640, 480), timestamps=stamps))
+    np.testing.assert_array_equal(tracks.visible, [[1, 0], [0, 1], [0, 0], [1, 1]])
 
 
 @pytest.mark.parametrize(

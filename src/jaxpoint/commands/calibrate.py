@@ -51,7 +51,8 @@ class Calibrate(Options):
         with console.progress() as progress:
             calibration = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
-        sources = [path for path in (self.tracks, self.input.intrinsics, self.config) if path is not None]
+        given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config)
+        sources = [path for path in given if path is not None]
         return written(
             calibration, out, room, sources=sources, detect_seconds=_detect_seconds(self.tracks), force=self.force
         )

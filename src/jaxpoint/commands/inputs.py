@@ -18,10 +18,13 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
 
     Raises:
         FileFormatError: the file or folder is not what it should be.
+        InsufficientDataError: the timestamps belong to another recording.
     """
+    from jaxpoint.io.timestamps import read_timestamps, synchronise
     from jaxpoint.io.tracks import read_tracks
 
-    return read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+    tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+    return tracks if settings.timestamps is None else synchronise(tracks, read_timestamps(settings.timestamps))
 
 
 def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None:
