@@ -123,7 +123,7 @@ class InputSettings:
     image_size: tuple[Count, Count] | None = None
     """Width and height in pixels of every camera, for files that do not say it."""
     timestamps: Path | None = None
-    """timestamps.csv of caliscope, for tracks whose frame numbers count each camera's own file: brings them together."""
+    """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None
     """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
 
