@@ -53,13 +53,27 @@ def median_background(frames: UInt8[np.ndarray, "N H W"]) -> Background:
     deviation = np.empty_like(level)
     for row in range(frames.shape[1]):  # a row at a time stays in cache
         values = np.ascontiguousarray(frames[:, row].T)  # W N
-        middle = _lower_median(values)
+        middle, level[row] = _grouped_median(values)
         distance = np.maximum(values, middle[:, None]) - np.minimum(values, middle[:, None])
-        level[row] = middle
-        deviation[row] = MAD_TO_SIGMA * _lower_median(distance).astype(np.float32)
+        _, spread = _grouped_median(distance, folded=True)
+        deviation[row] = MAD_TO_SIGMA * spread
     return Background(level, np.maximum(deviation, np.float32(DEVIATION_FLOOR)))
 
 
-def _lower_median(values: UInt8[np.ndarray, "W N"]) -> UInt8[np.ndarray, " W"]:
-    middle = (values.shape[1] - 1) // 2
-    return np.partition(values, middle, axis=1)[:, middle]
+def _grouped_median(
+    values: UInt8[np.ndarray, "W N"], folded: bool = False
+) -> tuple[UInt8[np.ndarray, " W"], Float32[np.ndarray, " W"]]:
+    """Median grey level, and the same within its bin of one grey level.
+
+    Whole numbers are too coarse: a noise of 2 grey levels would get a deviation of 1.5 or 3. `folded` values are
+    absolute, so their lowest bin is half as wide.
+    """
+    count = values.shape[1]
+    middle = np.partition(values, (count - 1) // 2, axis=1)[:, (count - 1) // 2]
+    below = (values < middle[:, None]).sum(axis=1)
+    inside = (values == middle[:, None]).sum(axis=1)
+    part = (count / 2 - below) / inside
+    low, width = middle - 0.5, 1.0
+    if folded:
+        low, width = np.maximum(low, 0), np.where(middle == 0, 0.5, 1.0)
+    return middle, (low + width * part).astype(np.float32)

@@ -7,13 +7,15 @@ from enum import IntEnum
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from jaxpoint.config import LedSettings
 
 NOTHING = 2.0  # grey levels: rounding and compression make as much
 MIN_ECCENTRICITY_AREA = 6  # px; the shape of fewer pixels is noise
-GLINT_RATIO = 0.5  # a second blob with less than this part of the largest one's light is its reflection
+COMPETITOR_FRACTION = 0.5  # of the peak: what is fainter cannot be confused with the light
+GLINT_RATIO = 0.5  # a second place with less than this part of the first one's light is its reflection
+MAX_PLACES = 8
 
 
 class Reason(IntEnum):
@@ -63,42 +65,51 @@ def find_blob(
             return Blob(x, y, peak, Reason.WEAK)
         difference = np.where(significant, difference, np.float32(0))
         _, peak, _, (x, y) = cv2.minMaxLoc(difference)
-    mask = (difference > settings.threshold_fraction * peak).astype(np.uint8)
-    if cv2.countNonZero(mask) > np.pi * (3 * settings.led_radius_px) ** 2:
+    mask = difference > settings.threshold_fraction * peak
+    if np.count_nonzero(mask) > np.pi * (3 * settings.led_radius_px) ** 2:
         return Blob(x, y, peak, Reason.TOO_LARGE)
     if peak < settings.min_deviations * deviation[y, x]:
         return Blob(x, y, peak, Reason.WEAK)
-    left, top, width, height = cv2.boundingRect(mask)
-    box = np.s_[top : top + height, left : left + width]
-    blobs, labels = cv2.connectedComponents(mask[box], connectivity=8)
-    reason = Reason.FOUND
-    if blobs > 2:  # the first label is the rest of the image
-        winner = _dominant(difference[box], labels, settings.led_radius_px) if robust else None
-        if winner is None:
-            reason = Reason.SEVERAL
-        else:
-            x, y = left + winner[0], top + winner[1]
-    elif not robust and _eccentricity(mask[box]) > settings.max_eccentricity:
-        reason = Reason.BLURRED
+    if robust:
+        winner = _dominant(difference, peak, settings)
+        reason = Reason.SEVERAL if winner is None else Reason.FOUND
+        x, y = winner or (x, y)
+    else:
+        reason = _judge_mask(mask, settings)
     rows, columns = difference.shape
     if reason == Reason.FOUND and (x in (0, columns - 1) or y in (0, rows - 1)):
         reason = Reason.AT_BORDER
     return Blob(x, y, float(difference[y, x]), reason)
 
 
-def _dominant(difference: Float32[np.ndarray, "h w"], labels: np.ndarray, led_radius: float) -> tuple[int, int] | None:
-    """Brightest pixel (x, y) of the place that holds most of the light, None where two places are alike."""
-    remaining = np.where(labels > 0, difference, np.float32(0))
-    rows, columns = np.ogrid[: labels.shape[0], : labels.shape[1]]
+def _judge_mask(mask: Bool[np.ndarray, "H W"], settings: LedSettings) -> Reason:
+    """The thesis's tests (c) and (d)."""
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    box = mask[top : top + height, left : left + width].astype(np.uint8)
+    labels, _ = cv2.connectedComponents(box, connectivity=8)
+    if labels > 2:  # the first label is what is not in the mask
+        return Reason.SEVERAL
+    return Reason.BLURRED if _eccentricity(box) > settings.max_eccentricity else Reason.FOUND
+
+
+def _dominant(difference: Float32[np.ndarray, "H W"], peak: float, settings: LedSettings) -> tuple[int, int] | None:
+    """Brightest pixel (x, y) of the place that holds most of the light, None where two places are alike.
+
+    Places are what is above half the peak, joined within two radii; only there are reflections and other lights, or the
+    texture of a person while the light is hidden, bright enough to be confused with it.
+    """
+    mask = difference > min(COMPETITOR_FRACTION, settings.threshold_fraction) * peak
+    _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
+    rows, columns = np.nonzero(mask)
+    light, label = difference[rows, columns], labels[rows, columns]
+    left = np.ones(len(light), dtype=bool)
     places: list[tuple[float, int, int]] = []
-    while len(places) < 8:
-        y, x = np.unravel_index(int(np.argmax(remaining)), remaining.shape)
-        if remaining[y, x] <= 0:
-            break
-        disc = np.square(rows - y) + np.square(columns - x) <= (2 * led_radius) ** 2
-        places.append((float(difference[disc].sum()), int(x), int(y)))
-        joined = np.unique(labels[disc & (labels > 0)])
-        remaining[np.isin(labels, joined)] = 0
+    while left.any() and len(places) < MAX_PLACES:
+        best = int(np.argmax(np.where(left, light, 0)))
+        x, y = int(columns[best]), int(rows[best])
+        near = (columns - x) ** 2 + (rows - y) ** 2 <= (2 * settings.led_radius_px) ** 2
+        places.append((float(light[near].sum()), x, y))
+        left &= ~np.isin(label, label[near])
     places.sort(reverse=True)
     if len(places) > 1 and places[1][0] > GLINT_RATIO * places[0][0]:
         return None

@@ -45,8 +45,8 @@ def fit_gaussians(
     half = size // 2
     axis = np.arange(size, dtype=np.float64) - half
     x, y = (grid.ravel() for grid in np.meshgrid(axis, axis))
-    weight = usable.reshape(len(patches), -1).astype(np.float64)
-    values = np.where(weight > 0, patches.reshape(len(patches), -1), 0.0)
+    weight = usable.reshape(len(patches), size * size).astype(np.float64)
+    values = np.where(weight > 0, patches.reshape(weight.shape), 0.0)
     state = _start(values, weight, x, y)
     free = np.ones(7)
     if radius is not None:

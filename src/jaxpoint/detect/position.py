@@ -12,7 +12,7 @@ from jaxpoint.detect.blob import Blob, Reason
 from jaxpoint.detect.gaussian import GaussianFit, correlate_template, fit_gaussians
 
 SATURATED = 250  # grey levels
-MIN_SIGNIFICANCE = 8.0  # amplitudes; noise peaks reach 5 somewhere in an image, but in one pixel only
+MIN_SIGNIFICANCE = 10.0  # amplitudes; noise peaks reach 5 somewhere in an image, but in one pixel only
 MIN_RADIUS = 0.35  # px; sharper spots are single hot pixels
 TEMPLATE_SCALE = 5  # places per pixel of the thesis's search
 CHUNK = 512  # spots fitted at a time, to bound memory
@@ -82,7 +82,8 @@ def fit_positions(spots: Spots, settings: LedSettings) -> Positions:
     alike = point_like & ~blurred & (free.radii[:, 0] <= settings.led_radius_px)
     center, covariance = free.center, free.covariance
     if alike.any():
-        alike &= free.amplitude >= settings.min_brightness * np.median(free.amplitude[alike])
+        bright = free.amplitude >= settings.min_brightness * np.median(free.amplitude[alike])
+        alike, blurred = alike & bright, blurred & bright
         shared = _fit(spots, float(np.median(radius[alike])))
         usable = shared.converged
         center = np.where(usable[:, None], shared.center, center)
