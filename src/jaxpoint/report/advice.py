@@ -13,6 +13,7 @@ from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, imag
 from jaxpoint.report.sync import speed_lags, time_offsets
 
 ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
+BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 
 
@@ -32,6 +33,7 @@ def advise(summary: Summary) -> list[Advice]:
         *on_recording(names, summary.pixels, summary.visible, sizes, summary.shared),
         *on_views(summary.visible),
         *on_outliers(names, sizes, summary.pixels, summary.judged, summary.rejected, summary.frame_ids),
+        *on_borders(names, sizes, summary.pixels, summary.rejected),
         *on_timing(summary),
         *on_space(names, summary.scene),
         *on_lenses(names, summary.lens),
@@ -121,6 +123,24 @@ def on_outliers(
                 "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again.",
                 urgent=True,
             )
+
+
+def on_borders(
+    names: Sequence[str],
+    sizes: Int[np.ndarray, "C 2"],
+    pixels: Float[np.ndarray, "F C 2"],
+    rejected: Bool[np.ndarray, "F C"],
+) -> Iterator[Advice]:
+    """Outliers at the edge of the image, where a part of the light is outside."""
+    near = rejected & np.any((pixels < BORDER) | (pixels > sizes - 1 - BORDER), axis=2)
+    share = near.sum(axis=0) / np.maximum(rejected.sum(axis=0), 1)
+    cameras = np.flatnonzero((share > 0.2) & (near.sum(axis=0) >= 8)).tolist()
+    if cameras:
+        listed = ", ".join(f"{share[c]:.0%} of those of {names[c]}" for c in cameras)
+        yield Advice(
+            f"Many outliers lie within {BORDER:g} px of the edge of the image: {listed}.",
+            "There the light is cut off and its middle misplaced: rejecting them is right, and nothing needs to be done.",
+        )
 
 
 def on_timing(summary: Summary) -> Iterator[Advice]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import BAD, FAINT, INK, SEQUENTIAL, camera_colors, short, small_multiples
+from jaxpoint.report.style import BAD, FAINT, INK, PAGE, SEQUENTIAL, camera_colors, small_multiples
 from jaxpoint.report.summary import GRID, Lens, image_coverage
 
 
@@ -16,7 +16,7 @@ def distortion_curves(names: tuple[str, ...], lens: Lens) -> Figure:
     Solid as far as the light was seen, dashed beyond up to the image corner (a dot); a cross where the polynomial stops
     growing, beyond which it means nothing.
     """
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
     ax = figure.add_subplot()
     for camera, color in enumerate(camera_colors(len(names))):
         radius, moved = lens.radius[camera], lens.displacement[camera]
@@ -45,9 +45,7 @@ def coverage_maps(
     """How often the light visited each cell of an 8 x 6 grid of each image; cells it never visited are hatched red."""
     columns = 2 if len(names) <= 2 else 3 if len(names) == 3 else 4
     counts = image_coverage(pixels, visible, sizes)
-    titles = [
-        f"{short(name)}: {np.mean(count > 0):.0%} of its cells" for name, count in zip(names, counts, strict=True)
-    ]
+    titles = [f"{name}: {np.mean(count > 0):.0%} of its cells" for name, count in zip(names, counts, strict=True)]
     figure, axes = small_multiples(titles, sizes, columns, ticks=False)
     small = len(names) > 3
     for camera, ax in enumerate(axes):

@@ -9,16 +9,17 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import BAD, FAINT, INK, camera_colors, round_number, short, small_multiples
+from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors, round_number, small_multiples
 from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean, mean_of_best
 
+_RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))  # of lengths of 2-D noise, in its standard deviations
 _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
 
 
 def reprojections(summary: Summary) -> Figure:
     """Detections (rings) against reprojections (crosses), outliers in red: the thesis's figure 25."""
     titles = [
-        f"{short(name)}: {mean(summary.errors[summary.kept[:, c], c]):.2f} px, {summary.rejected[:, c].sum()} rejected"
+        f"{name}: {mean(summary.errors[summary.kept[:, c], c]):.2f} px, {summary.rejected[:, c].sum()} rejected"
         for c, name in enumerate(summary.names)
     ]
     figure, axes = small_multiples(titles, summary.sizes)
@@ -42,7 +43,7 @@ def vector_field(summary: Summary) -> Figure:
     """Residuals as magnified arrows, and their mean in every cell of the image in bold."""
     typical = max(float(np.median(summary.errors[summary.kept])) if summary.kept.any() else 1.0, 1e-6)
     zooms = [round_number(0.02 * width / typical) for width in summary.sizes[:, 0]]
-    titles = [f"{short(name)}: arrows × {zoom:g}" for name, zoom in zip(summary.names, zooms, strict=True)]
+    titles = [f"{name}: arrows × {zoom:g}" for name, zoom in zip(summary.names, zooms, strict=True)]
     figure, axes = small_multiples(titles, summary.sizes)
     for camera, ax in enumerate(axes):
         kept = summary.kept[:, camera]
@@ -66,7 +67,7 @@ def vector_field(summary: Summary) -> Figure:
 
 def error_distribution(summary: Summary) -> Figure:
     """Histogram of the errors beside what pure noise gives, and the error against the image radius."""
-    figure = Figure(figsize=(10.0, 3.5), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.5), layout="constrained")
     _histogram(summary, figure.add_subplot(1, 2, 1))
     _against_radius(summary, figure.add_subplot(1, 2, 2))
     return figure
@@ -74,7 +75,7 @@ def error_distribution(summary: Summary) -> Figure:
 
 def over_time(summary: Summary) -> Figure:
     """Every error over the recording, running medians of each camera, and marks where observations were rejected."""
-    figure = Figure(figsize=(10.0, 3.3), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.3), layout="constrained")
     ax = figure.add_subplot()
     when = summary.frame_ids if summary.times is None else summary.times
     frames, cameras = np.nonzero(summary.kept)
@@ -104,7 +105,7 @@ def over_time(summary: Summary) -> Figure:
 
 def kept_against_mean(summary: Summary) -> Figure:
     """Mean error against the fraction of observations kept, best first, for each camera and for all."""
-    figure = Figure(figsize=(10.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(PAGE, 3.6), layout="constrained")
     ax = figure.add_subplot()
     everything = summary.errors[summary.judged]
     top = 0.0
@@ -125,13 +126,13 @@ def kept_against_mean(summary: Summary) -> Figure:
             textcoords="offset points", ha="right", weight="bold",
         )  # fmt: skip
     ax.set(xlim=(0, 100.5), ylim=(0, top), xlabel="observations kept, best first, %", ylabel="mean error, px")
-    _legend(ax, len(summary.names) + 1, loc="upper left")
+    _legend(ax, len(summary.names) + 1, loc="upper left", columns=5)
     return figure
 
 
 def _histogram(summary: Summary, ax: Axes) -> None:
     errors = summary.errors[summary.kept]
-    sigma = max(summary.sigma_px, 1e-9)
+    sigma = max(float(np.median(errors)) / _RAYLEIGH_MEDIAN if errors.size else 1.0, 1e-9)
     top = max(5.0 * sigma, float(np.quantile(errors, 0.995)) if errors.size else 0.0)
     edges = np.linspace(0.0, top, 50)
     ax.hist(np.minimum(errors, top), edges.tolist(), density=True, color="#3b82d0", alpha=0.35, label="all cameras")
@@ -142,7 +143,7 @@ def _histogram(summary: Summary, ax: Axes) -> None:
             ax.stairs(density, edges, color=color, lw=0.8, alpha=0.9)
     x = np.linspace(0.0, top, 200)
     rayleigh = x / sigma**2 * np.exp(-0.5 * (x / sigma) ** 2)
-    ax.plot(x, rayleigh, color=INK, lw=1.6, ls="--", label=f"pure noise, σ = {sigma:.2f} px")
+    ax.plot(x, rayleigh, color=INK, lw=1.6, ls="--", label=f"pure noise, σ = {sigma:.2g} px")
     ax.set(xlim=(0, top), xlabel="error of an observation kept, px", title="How large the errors are")
     ax.set_yticks([])
     ax.spines["left"].set_visible(False)
@@ -168,9 +169,11 @@ def _against_radius(summary: Summary, ax: Axes) -> None:
     _legend(ax, len(summary.names))
 
 
-def _legend(ax: Axes, entries: int, loc: Literal["upper left", "upper right"] = "upper right") -> None:
+def _legend(
+    ax: Axes, entries: int, loc: Literal["upper left", "upper right"] = "upper right", columns: int = 3
+) -> None:
     if entries <= 8:
-        ax.legend(loc=loc, ncols=min(entries, 5))
+        ax.legend(loc=loc, ncols=min(entries, columns)).set_in_layout(False)
     else:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5)
 

@@ -13,10 +13,10 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from mpl_toolkits.mplot3d.axis3d import Axis as Axis3D
 
-from jaxpoint.report.style import FAINT, INK, camera_colors
+from jaxpoint.report.style import FAINT, INK, PAGE, camera_colors
 from jaxpoint.report.summary import Scene
 
-_FRUSTUM = 0.22  # depth of a drawn field of view, as a fraction of the rig's size
+_FRUSTUM = (0.22, 0.06)  # depth of a drawn field of view, as fractions of the rig's and of the whole scene's size
 
 
 def frusta(
@@ -27,7 +27,9 @@ def frusta(
     plane = (unit[None] * sizes[:, None] - 0.5 - center[:, None]) / focal[:, None]
     plane *= np.minimum(1.0, 1.0 / np.abs(plane).max(axis=(1, 2), keepdims=True))  # a fish-eye would fill the figure
     rays = np.concatenate([plane, np.ones((*plane.shape[:2], 1))], axis=2)
-    corners = scene.centers[:, None] + _FRUSTUM * scene.size * np.einsum("cij,cnj->cni", scene.world_from_cam, rays)
+    everything = np.concatenate([scene.centers, np.quantile(scene.points, [0.05, 0.95], axis=0)])
+    depth = max(_FRUSTUM[0] * scene.size, _FRUSTUM[1] * float(np.linalg.norm(np.ptp(everything, axis=0))))
+    corners = scene.centers[:, None] + depth * np.einsum("cij,cnj->cni", scene.world_from_cam, rays)
     return np.concatenate([scene.centers[:, None], corners], axis=1)
 
 
@@ -48,7 +50,7 @@ def bounds(scene: Scene, cones: Float[np.ndarray, "C 5 3"]) -> tuple[np.ndarray,
 
 def rig_views(scenes: list[tuple[str, Scene]], names: tuple[str, ...], cones: list[np.ndarray]) -> Figure:
     """The rig in 3-D with fields of view, names and the light's path: the thesis's figures 27 and 28."""
-    figure = Figure(figsize=(10.0, 5.0 if len(scenes) > 1 else 6.0))
+    figure = Figure(figsize=(PAGE, 5.0 if len(scenes) > 1 else 6.0))
     wide = 1.0 / len(scenes)
     for index, ((title, scene), cone) in enumerate(zip(scenes, cones, strict=True)):
         place = (index * wide, 0.07, wide - 0.08, 0.88)
@@ -85,9 +87,9 @@ def coverage_in_space(
     """Floor plan and side view of the light's positions, coloured by the number of cameras that saw them."""
     low, high = bounds(scene, cones)
     span = high - low
-    width = (10.0 - 1.9) / 2  # of one view, in inches
+    width = (PAGE - 1.9) / 2  # of one view, in inches
     height = float(np.clip(width * max(span[1], span[2]) / span[0] + 0.8, 3.0, 8.0))
-    figure = Figure(figsize=(10.0, height), layout="constrained")
+    figure = Figure(figsize=(PAGE, height), layout="constrained")
     views = [figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)]
     dots = [_flat_view(ax, axis, scene, seen_by, names, cones) for ax, axis in zip(views, (1, 2), strict=True)]
     for ax, axis, title in zip(views, (1, 2), ("Floor plan, from above", "Side view"), strict=True):

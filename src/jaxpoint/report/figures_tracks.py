@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Bool, Int
 from matplotlib.figure import Figure
 
-from jaxpoint.report.style import camera_colors
+from jaxpoint.report.style import PAGE, camera_colors
 
 _COLUMNS = 600  # no page shows more frames side by side
 
 
 def timeline(names: tuple[str, ...], visible: Bool[np.ndarray, "F C"], frame_ids: Int[np.ndarray, " F"]) -> Figure:
     """When each camera saw the light: one band a camera, paler where it saw it in a part of the frames only."""
-    figure = Figure(figsize=(10.0, 0.9 + 0.27 * (len(names) + 1)), layout="constrained")
+    figure = Figure(figsize=(PAGE, 0.9 + 0.27 * (len(names) + 1)), layout="constrained")
     ax = figure.add_subplot()
     edges = np.unique(np.linspace(0, len(frame_ids), min(_COLUMNS, len(frame_ids)) + 1).astype(int))
     share = np.add.reduceat(visible.astype(float), edges[:-1], axis=0) / np.diff(edges)[:, None]

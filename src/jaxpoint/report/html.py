@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib import metadata
 from typing import Any
 
@@ -20,7 +21,7 @@ from jaxpoint.io.files import StrPath, replacing
 from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figures_tracks, tables
 from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, on_recording, on_synchrony, on_views
 from jaxpoint.report.reading import before_alignment, summarise
-from jaxpoint.report.style import camera_colors, round_number, style, to_data_uri, to_svg
+from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
 from jaxpoint.report.summary import Scene, Summary
 from jaxpoint.report.sync import speed_lags
 from jaxpoint.report.verdict import judge_summary, judge_tracks
@@ -63,7 +64,7 @@ def write_report(
     """
     settings, align_settings = settings or CalibrateSettings(), align_settings or AlignSettings()
     summary = summarise(calibration)
-    advice = _with_alignment(advise(summary), calibration)
+    advice = _advice(summary, calibration)
     scenes = _scenes(summary, calibration.alignment)
     with style():
         figures = _figures(summary, scenes)
@@ -127,8 +128,9 @@ def write_tracks_report(
         key=lambda item: not item.urgent,
     )
     with style():
-        coverage = figures_lens.coverage_maps(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes)
-        timeline = figures_tracks.timeline(tracks.names, tracks.visible, tracks.frame_ids)
+        names = short_names(tracks.names)
+        coverage = figures_lens.coverage_maps(names, tracks.pixels, tracks.visible, tracks.image_sizes)
+        timeline = figures_tracks.timeline(names, tracks.visible, tracks.frame_ids)
         figures = {"coverage": Markup(to_svg(coverage)), "timeline": Markup(to_svg(timeline))}
     views = tracks.visible.sum(axis=1)
     page = _render(
@@ -150,7 +152,7 @@ def write_tracks_report(
         ],
         advice=advice or [Advice("The recording looks fine.", "Go on with `jaxpoint calibrate`.")],
         pairs=tables.pair_matrix(pairs),
-        lags=tables.lag_matrix(tracks.names, *speed_lags(tracks.pixels, tracks.visible, tracks.frame_ids)),
+        lags=tables.lag_matrix(names, *speed_lags(tracks.pixels, tracks.visible, tracks.frame_ids)),
         enough_shared=ENOUGH_SHARED,
         figures=figures,
         sheets=_encoded(sheets),
@@ -174,18 +176,20 @@ def write_detection_section(path: StrPath, sheets: Sheets, *, title: str = "Dete
 
 def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Markup]:
     """Every figure of the calibration report, by name."""
+    names = short_names(summary.names)
+    summary = replace(summary, names=names)
     cones = [figures_scene.frusta(scene, summary.sizes, summary.focal, summary.center) for _, scene in scenes]
     agreeing = summary.kept.sum(axis=1)[summary.point_valid]
     drawn = {
-        "rig": figures_scene.rig_views(scenes, summary.names, cones),
-        "coverage": figures_lens.coverage_maps(summary.names, summary.pixels, summary.visible, summary.sizes),
-        "space": figures_scene.coverage_in_space(scenes[-1][1], agreeing, summary.names, cones[-1]),
+        "rig": figures_scene.rig_views(scenes, names, cones),
+        "coverage": figures_lens.coverage_maps(names, summary.pixels, summary.visible, summary.sizes),
+        "space": figures_scene.coverage_in_space(scenes[-1][1], agreeing, names, cones[-1]),
         "reprojections": figures_residuals.reprojections(summary),
         "kept": figures_residuals.kept_against_mean(summary),
         "distribution": figures_residuals.error_distribution(summary),
         "field": figures_residuals.vector_field(summary),
         "time": figures_residuals.over_time(summary),
-        "lens": figures_lens.distortion_curves(summary.names, summary.lens),
+        "lens": figures_lens.distortion_curves(names, summary.lens),
     }
     return {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
 
@@ -211,45 +215,47 @@ def _sections(calibration: Calibration, sheets: Sheets) -> list[tuple[str, str]]
 
 def _tiles(summary: Summary, calibration: Calibration, seconds: Mapping[str, Any]) -> list[tuple[str, str]]:
     tiles = [
-        (f"{summary.mean_px:.3f} px", "mean error of the observations kept"),
-        (f"{summary.mean_all_px:.3f} px", "mean error of all observations"),
+        (f"{summary.mean_px:.3f} px", "mean error, kept"),
+        (f"{summary.mean_all_px:.3f} px", "mean error, all"),
         (f"{summary.kept_fraction:.1%}", f"of {int(summary.visible.sum()):,} observations kept"),
         (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.frames:,} frames used"),
-        (f"{summary.sigma_px:.2f} px", "noise of one coordinate"),
+        (f"{summary.sigma_px:.2f} px", "noise of a coordinate"),
         ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.unit == "m" else "not aligned"),
     ]
     total = seconds.get("total")
     return tiles if total is None else [*tiles, (f"{total:.1f} s", "to compute")]
 
 
-def _with_alignment(advice: list[Advice], calibration: Calibration) -> list[Advice]:
-    """The advice, and what the alignment adds to it."""
-    alignment = calibration.alignment
-    if alignment is None:
-        if calibration.unit == "m":
-            return advice
-        step = Advice(
-            "The result has no unit and no floor yet.",
-            "Measure a few points of the room and run `jaxpoint align RUN --landmarks landmarks.csv --out RUN2`.",
+def _advice(summary: Summary, calibration: Calibration) -> list[Advice]:
+    """What the data, the solver and the alignment advise."""
+    advice = advise(summary)
+    if not calibration.converged:
+        stuck = Advice(
+            f"The solver did not converge: {calibration.message}.",
+            "Mend what stands below first; then record more of the room, or try another first solution (`--init`).",
+            urgent=True,
         )
-        return [*advice, step]
-    errors = [e if e is not None else r for e, r in zip(alignment.leave_one_out_mm, alignment.residual_mm)]
-    worst = int(np.argmax(errors))
-    if len(errors) >= 4 and errors[worst] > 3 * float(np.median(errors)):
-        advice = [
-            *advice,
-            Advice(
-                f"The known point {alignment.names[worst]} is off by {errors[worst]:.0f} mm when it is left out of the "
-                f"fit; the median is {np.median(errors):.0f} mm.",
-                "Measure and click it again, or leave it out.",
-            ),
-        ]
-    if not alignment.handedness_verified:
-        advice = [
-            *advice,
-            Advice("A mirrored room would fit as well.", "Add one known point off the plane of the others."),
-        ]
+        advice = [stuck, *advice]
+    if calibration.alignment is not None:
+        return [*advice, *_on_alignment(calibration.alignment)]
+    if calibration.unit != "m":
+        step = "Measure a few points of the room and run `jaxpoint align RUN --landmarks landmarks.csv --out RUN2`."
+        advice = [*advice, Advice("The result has no unit and no floor yet.", step)]
     return advice
+
+
+def _on_alignment(alignment: Alignment) -> Iterator[Advice]:
+    """A known point that stands out, and a mirror image that was not ruled out."""
+    errors = [e if e is not None else r for e, r in zip(alignment.leave_one_out_mm, alignment.residual_mm)]
+    worst, middle = int(np.argmax(errors)), float(np.median(errors))
+    if len(errors) >= 4 and errors[worst] > 3 * middle:
+        yield Advice(
+            f"The known point {alignment.names[worst]} is off by {errors[worst]:.0f} mm when it is left out of the fit; "
+            f"the median is {middle:.0f} mm.",
+            "Measure and click it again, or leave it out.",
+        )
+    if not alignment.handedness_verified:
+        yield Advice("A mirrored room would fit as well.", "Add one known point off the plane of the others.")
 
 
 def _alignment(alignment: Alignment | None) -> dict[str, Any] | None:
@@ -312,7 +318,7 @@ def _rig_data(scenes: list[tuple[str, Scene]], summary: Summary) -> Markup:
                 "points": points.round(digits).tolist(),
                 "cameras": [
                     {"name": name, "color": color, "cone": cone.round(digits).tolist()}
-                    for name, color, cone in zip(summary.names, camera_colors(len(summary.names)), cones)
+                    for name, color, cone in zip(short_names(summary.names), camera_colors(len(cones)), cones)
                 ],
             }
         )

@@ -29,7 +29,7 @@ SEQUENTIAL = colors.LinearSegmentedColormap.from_list("light_blue", ["#2f7fd100"
 _HUES = ("#3b82d0", "#e08214", "#2aa36b", "#c4509b", "#8b6fd8", "#b59410", "#1aa5b8", "#d4574a")
 _RASTER_DPI = 144
 _NO_METADATA = {"Date": None, "Creator": None}
-_PAGE = 10.0  # width of a figure, inches
+PAGE = 10.6  # width of a figure, inches
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "jaxpoint",
@@ -56,7 +56,7 @@ _STYLE: dict[Any, Any] = {
 _TIDY = (
     (r"(?s)<metadata>.*?</metadata>", ""),
     (r"(?s)<defs>\s*<style.*?</style>\s*</defs>", ""),  # a style inside inline SVG would hold for the whole page
-    (r'<svg [^>]*viewBox="([^"]*)"[^>]*>', r'<svg class="figure" viewBox="\1">'),
+    (r'<svg [^>]*(viewBox="0 0 ([\d.]+) [\d.]+")[^>]*>', r'<svg class="figure" style="max-width: \2pt" \1>'),
     (r'<g id="[\w.]+_\d+">', "<g>"),  # these numbers repeat from figure to figure
     (r" font-family: [^;\"]*;", ""),
     (r' transform="rotate\(-0 [^"]*"', ""),
@@ -80,9 +80,15 @@ def camera_colors(cameras: int) -> list[str]:
     return [colors.to_hex(color) for color in colors.hsv_to_rgb(wheel)]
 
 
-def short(name: str, length: int = 14) -> str:
-    """A camera's name that fits over a small figure."""
-    return name if len(name) <= length else f"{name[: length - 7]}…{name[-6:]}"
+def short_names(names: Sequence[str], length: int = 14) -> tuple[str, ...]:
+    """The names cut to what fits into a figure: first what they have in common, then their middles."""
+    if max(map(len, names)) <= length:
+        return tuple(names)
+    same = [len(set(letters)) == 1 for letters in zip(*names, strict=False)]
+    common = max(0, (same.index(False) if False in same else len(same)) - 6)
+    cut = [f"…{name[common:]}" if common > 1 else name for name in names]
+    cut = [name if len(name) <= length else f"{name[: length - 7]}…{name[-6:]}" for name in cut]
+    return tuple(cut) if len(set(cut)) == len(cut) else tuple(names)
 
 
 def small_multiples(
@@ -98,16 +104,16 @@ def small_multiples(
     rows = -(-cameras // columns)
     # Placed by hand, in inches: an automatic layout takes longer than the drawing.
     left, right, above, below = (0.42, 0.08, 0.3, 0.26) if ticks else (0.06, 0.06, 0.26, 0.04)
-    width = _PAGE / columns - left - right
+    width = PAGE / columns - left - right
     height = width * float(np.max(sizes[:, 1] / sizes[:, 0]))
     tall = rows * (above + height + below)
-    figure = Figure(figsize=(_PAGE, tall))
+    figure = Figure(figsize=(PAGE, tall))
     axes = []
     for index in range(cameras):
         row, column = divmod(index, columns)
         x = column * (left + width + right) + left
         y = tall - row * (above + height + below) - above - height
-        axes.append(figure.add_axes((x / _PAGE, y / tall, width / _PAGE, height / tall)))
+        axes.append(figure.add_axes((x / PAGE, y / tall, width / PAGE, height / tall)))
     for ax, title, (w, h) in zip(axes, titles, sizes, strict=True):
         ax.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal")
         ax.grid(False)

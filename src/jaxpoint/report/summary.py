@@ -38,14 +38,12 @@ class Scene:
         )
 
     def upright(self) -> Scene:
-        """The scene turned so that z is up as most cameras see it, about the middle of the light's path."""
+        """The scene turned so that z is up as most cameras see it and x is the longest level way."""
         up = -self.world_from_cam[:, :, 1].sum(axis=0)
         up /= np.linalg.norm(up)
-        across = self.centers - self.centers.mean(axis=0)
-        across -= np.outer(across @ up, up)
-        x = np.linalg.svd(across)[2][0]
-        x = x - up * (x @ up)
-        x /= np.linalg.norm(x)
+        level = np.eye(3) - np.outer(up, up)
+        spread = level @ (np.cov(self.centers.T) + np.cov(self.points.T)) @ level
+        x = np.linalg.eigh(spread)[1][:, -1]
         rotation = np.stack([x, np.cross(up, x), up])
         return self.moved(1.0, rotation, -rotation @ np.median(self.points, axis=0), self.unit)
 

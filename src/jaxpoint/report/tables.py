@@ -11,6 +11,7 @@ from jaxtyping import Float, Int
 
 from jaxpoint.calibration.result import PairTable, Stage, Verdict
 from jaxpoint.report.advice import ENOUGH_SHARED
+from jaxpoint.report.style import short_names
 from jaxpoint.report.summary import BEST, Summary, mean, mean_of_best, worst_outliers
 
 _REASONS = {
@@ -20,6 +21,7 @@ _REASONS = {
 }
 
 
+_MOST_LINES = 12  # of one figure of a stage
 _UNSURE = 0.45  # speeds less alike than this tell nothing about synchrony
 
 
@@ -114,7 +116,7 @@ def pair_matrix(pairs: PairTable) -> Matrix:
             weak = "weak" if shared[a, b] < ENOUGH_SHARED else ""
             row.append(Cell(f"{shared[a, b]:,}", shared[a, b] / top, small, weak, f"{name} and {other}"))
         rows.append(row)
-    return Matrix(pairs.names, rows, pairs.inliers is not None)
+    return Matrix(short_names(pairs.names), rows, pairs.inliers is not None)
 
 
 def lag_matrix(names: Sequence[str], lag: Int[np.ndarray, "C C"], likeness: Float[np.ndarray, "C C"]) -> Matrix:
@@ -165,11 +167,27 @@ def outlier_table(summary: Summary) -> Table:
 
 
 def stage_list(stages: Sequence[Stage]) -> list[dict[str, Any]]:
-    """Stages of the pipeline with their figures as text."""
+    """Stages of the pipeline; each figure as its name and the lines of text that say it."""
     return [
-        {"name": s.name, "figures": [(str(k).replace("_", " "), as_text(v)) for k, v in s.figures.items()]}
-        for s in stages
+        {"name": stage.name, "figures": [(_spaced(key), _lines(value)) for key, value in stage.figures.items()]}
+        for stage in stages
     ]
+
+
+def _lines(value: Any) -> list[str]:
+    """One line, or one for each entry of a dictionary or of a list of dictionaries."""
+    if isinstance(value, Mapping) and len(value) > 2:
+        lines = [f"{key}: {as_text(item)}" for key, item in value.items()]
+    elif isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
+        lines = [as_text(item) for item in value]
+    else:
+        return [as_text(value)]
+    more = len(lines) - _MOST_LINES
+    return lines if more <= 0 else [*lines[:_MOST_LINES], f"and {more} more"]
+
+
+def _spaced(key: Any) -> str:
+    return str(key).replace("_", " ")
 
 
 def origin_table(provenance: Mapping[str, Any] | None, seconds: Mapping[str, Any], seed: int | None) -> Table:
@@ -188,9 +206,9 @@ def as_text(value: Any) -> str:
     if isinstance(value, (bool, np.bool_)):
         return "yes" if value else "no"
     if isinstance(value, (float, np.floating)):
-        return f"{value:.4g}"
+        return f"{value:,.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{key} {as_text(item)}" for key, item in value.items())
+        return ", ".join(f"{_spaced(key)} {as_text(item)}" for key, item in value.items())
     if isinstance(value, (list, tuple, np.ndarray)):
         return ", ".join(as_text(item) for item in value)
     return "none" if value is None else str(value)

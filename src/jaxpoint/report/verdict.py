@@ -27,6 +27,7 @@ class Check:
     found: str
     wanted: str
     level: Level
+    reason: str = ""  # in a sentence, where it is a gate
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def judge_summary(
         f"observations fit (at least {settings.min_kept:.0%})"
     )
     if failed:
-        reasons = "; ".join(f"{check.what.lower()} is {check.found} (wanted: {check.wanted})" for check in failed)
+        reasons = " and ".join(check.reason for check in failed)
         return Judgement("bad", "Not to be trusted", f"Do not use this calibration yet: {reasons}.", checks)
     if urgent or doubtful:
         first = urgent[0].finding if urgent else f"{doubtful[0].what}: {doubtful[0].found}."
@@ -76,18 +77,21 @@ def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettin
             f"{'converged' if calibration.converged else 'not converged'} ({calibration.message})",
             "converged",
             "good" if calibration.converged else "bad",
+            f"the solver did not converge ({calibration.message})",
         ),
         Check(
             "Mean error of the observations kept",
             f"{summary.mean_px:.3f} px",
             f"at most {settings.max_mean_px:g} px",
             "good" if summary.mean_px <= settings.max_mean_px else "bad",
+            f"the mean error is {summary.mean_px:.2f} px (limit {settings.max_mean_px:g} px)",
         ),
         Check(
             "Observations kept",
             f"{summary.kept_fraction:.1%}",
             f"at least {settings.min_kept:.0%}",
             "good" if summary.kept_fraction >= settings.min_kept else "bad",
+            f"only {summary.kept_fraction:.0%} of the observations fit (at least {settings.min_kept:.0%} are needed)",
         ),
     ]
 
@@ -148,6 +152,7 @@ def _alignment(alignment: Alignment, settings: AlignSettings) -> list[Check]:
             f"{alignment.rms_mm:.1f} mm",
             f"at most {settings.max_rms_mm:g} mm",
             "good" if alignment.rms_mm <= settings.max_rms_mm else "bad",
+            f"the known points are missed by {alignment.rms_mm:.0f} mm rms (limit {settings.max_rms_mm:g} mm)",
         ),
         Check(
             "Handedness (mirror image ruled out)",
