@@ -44,7 +44,7 @@ def test_the_colour_of_the_light_is_found_and_reported(spoilt, drawing):
 
 @pytest.mark.parametrize("contrast", [20, 60])
 def test_a_hidden_light_is_not_found_in_noise_nor_on_a_moving_person(tmp_path, drawing, contrast):
-    """The light is hidden for 40 of 120 frames while a person in textured cloth walks, and shows a faint reflection in 10."""
+    """Hidden for 40 of 120 frames while a person in textured cloth walks; 10 show a faint reflection."""
     rng = np.random.default_rng(2)
     hidden, reflected = np.arange(120) % 3 == 0, np.arange(120) % 12 == 0
     rows, columns = np.mgrid[: drawing.size[1], : drawing.size[0]]
@@ -64,7 +64,7 @@ def test_a_hidden_light_is_not_found_in_noise_nor_on_a_moving_person(tmp_path, d
 
 
 def test_too_few_frames_to_learn_a_background(recording):
-    with pytest.raises(InsufficientDataError, match="120 frames.* at least 121"):
+    with pytest.raises(InsufficientDataError, match=r"120 frames.* at least 121"):
         find(recording.folder, min_frames=121)
 
 

@@ -1,5 +1,6 @@
 """Several cameras: what belongs together, processes, interruption, and the real recording."""
 
+import multiprocessing
 import shutil
 
 import cv2
@@ -95,12 +96,25 @@ def test_ctrl_c_keeps_the_cameras_that_are_finished(folders):
     assert caught.value.finished.tracks.visible.sum() == 116
 
 
-def test_ctrl_c_before_any_camera_is_finished_ends_the_processes(folders):
+def test_ctrl_c_ends_the_processes_and_keeps_what_they_finished(folders):
+    def interrupt(camera, done, total):
+        if done == total:
+            raise KeyboardInterrupt
+
+    with pytest.raises(DetectionInterrupted) as caught:
+        detect_led(folders[:2], LedSettings(workers=2), interrupt)
+    finished = caught.value.finished
+    assert set(finished.tracks.names) <= {"left", "right"}
+    assert (finished.tracks.visible.sum(axis=0) >= 115).all()
+    assert not multiprocessing.active_children()
+
+
+def test_ctrl_c_before_any_camera_is_finished(folders):
     def interrupt(camera, done, total):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt) as caught:
-        detect_led(folders[:2], LedSettings(workers=2), interrupt)
+        detect_led(folders[:2], ALONE, interrupt)
     assert not isinstance(caught.value, DetectionInterrupted)
 
 

@@ -66,6 +66,9 @@ def run_cameras(
         finally:
             stop.set()
             pool.shutdown(wait=True, cancel_futures=True)
+            for index, future in enumerate(futures):
+                if not future.cancelled() and future.exception() is None:
+                    finished[index] = future.result()
 
 
 def _collect(
