@@ -25,7 +25,7 @@ from jaxpoint.geometry.pose import Similarity
 
 DUPLICATE = 1e-6  # landmarks nearer than this fraction of their extent are the same
 COLLINEAR = 0.01  # smallest width of the landmarks, as a fraction of their extent
-CLEAR_OF_PLANE = 3.0  # how many times the residual landmarks must stand off a plane to tell a mirror image
+CLEAR_HAND = 2.5  # how many times the residual of one hand must exceed the other's to tell them apart
 SUSPICIOUS = 4.0  # a leave-one-out error this many times the median is worth a warning
 
 
@@ -293,19 +293,19 @@ def _judge_hand(
     points: np.ndarray, landmarks: np.ndarray, weights: np.ndarray, residuals: np.ndarray
 ) -> tuple[bool, tuple[str, ...]]:
     """Whether the landmarks tell right from left, and a warning where they do not; refuses a mirror image."""
-    thickness = _spread(landmarks)[2] if len(landmarks) > 3 else 0.0
-    free = umeyama(points, landmarks, weights, allow_mirror=True)
-    mirrored = bool(np.linalg.det(np.asarray(free.rotation)) < 0)
+    mirrored = points * [1, 1, -1]
+    fit = umeyama(mirrored, landmarks, weights)
     rms = np.sqrt((residuals**2).mean())
-    rms_free = np.sqrt((np.linalg.norm(np.asarray(free @ points) - landmarks, axis=1) ** 2).mean())
-    if thickness <= max(CLEAR_OF_PLANE * rms_free, DUPLICATE * _spread(landmarks)[0]):
+    rms_mirrored = np.sqrt((np.linalg.norm(np.asarray(fit @ mirrored) - landmarks, axis=1) ** 2).mean())
+    better, worse = sorted((rms, rms_mirrored))
+    if worse < max(CLEAR_HAND * better, DUPLICATE * _spread(landmarks)[0]):
         return False, (
-            f"The handedness was not verified: the landmarks stand only {1e3 * thickness:.1f} mm off a plane "
-            f"(residual {1e3 * rms:.1f} mm), so a mirrored room would fit as well. Add one well off that plane.",
+            f"The handedness was not verified: the landmarks fit a mirrored room (rms {1e3 * rms_mirrored:.1f} mm) "
+            f"about as well (rms {1e3 * rms:.1f} mm). Add one well off the plane of the others.",
         )
-    if mirrored:
+    if rms_mirrored < rms:
         raise InsufficientDataError(
-            f"The landmarks fit a mirror image (rms {1e3 * rms_free:.1f} mm) better than the room "
+            f"The landmarks fit a mirror image (rms {1e3 * rms_mirrored:.1f} mm) better than the room "
             f"(rms {1e3 * rms:.1f} mm): their axes are left-handed or names are swapped. Turn one axis round, z up."
         )
     return True, ()
