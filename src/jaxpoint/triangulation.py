@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntFlag
 from functools import partial
+from typing import NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -17,11 +18,16 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 
 MIN_PARALLAX = math.radians(2.0)
-_BLOCK = 1024  # points that are worked on at once on a CPU, so that they stay in its cache
+_BLOCK = 512  # points that are worked on at once on a CPU, so that they stay in its cache
 _DAMPING = 1e-6  # of Levenberg-Marquardt at the start, relative to the diagonal
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+# Blocks of points are tuples of components, each with the points last: XLA then makes one pass over each.
+Vector: TypeAlias = tuple[Float[Array, " B"], ...]  # x, y, z
+Symmetric: TypeAlias = tuple[Float[Array, " B"], ...]  # xx, xy, xz, yy, yz, zz
 
 
 class Flag(IntFlag):
@@ -56,7 +62,7 @@ def triangulate(
     *,
     sigma_px: Float[AnyArray, ""] | float = 1.0,
     camera_covariance: Float[AnyArray, "D D"] | None = None,
-    refine_steps: int = 5,
+    refine_steps: int = 4,
 ) -> Triangulation:
     """Points of the world from their pixels in two or more cameras, one point or millions.
 
@@ -156,78 +162,93 @@ def _triangulate_block(
     views = jnp.sum(used, axis=0)
     enough = views >= 2
     used = used & enough[None]
-    pixels, ideal = (jnp.where(used[None], values, 0.0) for values in (pixels, ideal))
+    pixel_x, pixel_y, ideal_x, ideal_y = (jnp.where(used, values, 0.0) for values in (*pixels, *ideal))
+    seen = Seen(pixel_x, pixel_y, ideal_x, ideal_y, used)
 
-    points = _optimum(cameras, pixels, ideal, used, steps)
-    residuals, jacobian = _residuals_and_jacobian(cameras, points, pixels, used)
-    normal = _normal_matrix(jacobian)
-    covariance = sigma_px**2 * _inverse(normal)
+    points = _optimum(cameras, seen, steps)
+    fit = _fit(cameras, seen, points)
+    inverse = _inverse(fit.normal)
+    covariance = sigma_px**2 * _full(inverse)
     if camera_covariance is not None:
-        covariance = covariance + _from_cameras(cameras, points, used, jacobian, normal, camera_covariance)
+        covariance = covariance + _from_cameras(cameras, seen, points, inverse, camera_covariance)
     unknown = jnp.where(jnp.eye(3, dtype=bool), jnp.inf, 0.0).astype(covariance.dtype)
-    squared = jnp.sum(residuals**2, axis=(0, 1)) / jnp.maximum(views, 1)
-    parallax = _parallax(cameras, points, used)
-    behind = jnp.any(used & (_depths(cameras, points) <= 0), axis=0)
+    parallax = _parallax(cameras, seen, points)
     flags = (
-        Flag.BEHIND * behind
+        Flag.BEHIND * (fit.behind > 0)
         + Flag.LOW_PARALLAX * (enough & (parallax < MIN_PARALLAX))
         + Flag.FEW_VIEWS * ~enough
         + Flag.LENS_RANGE * jnp.any(visible & ~in_range, axis=0)
     )
     return Triangulation(
-        points=jnp.where(enough[None], points + origin[:, None], 0.0).T,
-        covariance=jnp.where(enough[None, None], covariance, unknown[:, :, None]).transpose(2, 0, 1),
-        residuals=residuals.transpose(2, 1, 0),
-        rms=_safe_sqrt(squared),
+        points=jnp.stack([jnp.where(enough, points[i] + origin[i], 0.0) for i in range(3)], axis=-1),
+        covariance=jnp.where(enough[:, None, None], covariance, unknown[None]),
+        residuals=_residuals(cameras, seen, points),
+        rms=_safe_sqrt(fit.cost / jnp.maximum(views, 1)),
         parallax=parallax,
         flags=flags.astype(jnp.int32),
     )
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(4,))
-def _optimum(
-    cameras: Camera, pixels: Float[Array, "2 C B"], ideal: Float[Array, "2 C B"], used: Bool[Array, "C B"], steps: int
-) -> Float[Array, "3 B"]:
+class Seen(NamedTuple):
+    """What the cameras saw of a block of points; 0 where not used."""
+
+    pixel_x: Float[Array, "C B"]  # px
+    pixel_y: Float[Array, "C B"]
+    ideal_x: Float[Array, "C B"]  # undistorted, on the z = 1 plane
+    ideal_y: Float[Array, "C B"]
+    used: Bool[Array, "C B"]
+
+
+class Fit(NamedTuple):
+    """How points explain what the cameras saw, and the normal equations of a better guess."""
+
+    behind: Float[Array, " B"]  # number of cameras that see the point behind them
+    cost: Float[Array, " B"]  # px^2, sum of squared residuals
+    gradient: Vector
+    normal: Symmetric
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _optimum(cameras: Camera, seen: Seen, steps: int) -> Vector:
     """The points of least squared pixel error: the linear start, then Levenberg-Marquardt."""
 
-    def evaluate(points: Array) -> tuple[Array, Array, Array, Array]:
-        residuals, jacobian = _residuals_and_jacobian(cameras, points, pixels, used)
-        behind = jnp.sum(used & (_depths(cameras, points) <= 0), axis=0)
-        gradient = jnp.sum(jacobian * residuals[:, None], axis=(0, 2))
-        return behind, jnp.sum(residuals**2, axis=(0, 1)), gradient, _normal_matrix(jacobian)
-
-    def step(_: int, state: tuple) -> tuple:
-        points, value, damping = state
-        behind, cost, gradient, normal = value
-        damped = normal * (1 + damping[None, None] * jnp.eye(3, dtype=points.dtype)[:, :, None])
-        trial = points - _times(_inverse(damped), gradient)
-        trial_value = evaluate(trial)
+    def step(_: int, state: tuple[Vector, Fit, Array]) -> tuple[Vector, Fit, Array]:
+        points, fit, damping = state
+        xx, xy, xz, yy, yz, zz = fit.normal
+        more = 1 + damping
+        move = _times(_inverse((xx * more, xy, xz, yy * more, yz, zz * more)), fit.gradient)
+        trial = tuple(old - by for old, by in zip(points, move, strict=True))
+        trial_fit = _fit(cameras, seen, trial)
         # A step may bring a point before a camera at any cost, and never behind one.
-        better = (trial_value[0] < behind) | ((trial_value[0] == behind) & (trial_value[1] < cost))
+        better = (trial_fit.behind < fit.behind) | ((trial_fit.behind == fit.behind) & (trial_fit.cost < fit.cost))
         damping = jnp.where(better, damping * 0.1, jnp.maximum(damping, 1e-4) * 30)
-        kept = jax.tree.map(
-            lambda new, old: jnp.where(_over(better, new), new, old), (trial, trial_value), (points, value)
-        )
+        kept = jax.tree.map(partial(jnp.where, better), (trial, trial_fit), (points, fit))
         return *kept, damping
 
-    start = _linear(cameras, ideal, used)
-    state = start, evaluate(start), jnp.full_like(start[0], _DAMPING)
+    start = _linear(cameras, seen)
+    state = start, _fit(cameras, seen, start), jnp.full_like(start[0], _DAMPING)
     return jax.lax.fori_loop(0, steps, step, state)[0]
 
 
 @_optimum.defjvp
-def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Array, Array]:
-    cameras, pixels, _, used = primals
-    points = _optimum(*primals, steps)
+def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, Vector]:
+    """The gradient of the cost stays 0: Hessian times the points' motion balances what moves the gradient."""
+    cameras, seen = primals
+    points = _optimum(cameras, seen, steps)
 
-    def cost(points: Array, cameras: Camera, pixels: Array) -> Array:
-        return 0.5 * jnp.sum(_residuals(cameras, points, pixels, used) ** 2)
+    def gradient(points: Vector, cameras: Camera, pixels: tuple[Array, Array]) -> Vector:
+        return jax.grad(lambda x: jnp.sum(_fit(cameras, seen._replace(pixel_x=pixels[0], pixel_y=pixels[1]), x).cost))(
+            points
+        )
 
-    gradient = jax.grad(cost)
-    _, change = jax.jvp(lambda c, p: gradient(points, c, p), (cameras, pixels), (tangents[0], tangents[1]))
-    hessian = jnp.stack([jax.jvp(lambda x: gradient(x, cameras, pixels), (points,), (e,))[1] for e in _axes(points)])
-    moved = -_times(_inverse(hessian), change)
-    return points, jnp.where(jnp.any(used, axis=0)[None], moved, 0.0)
+    pixels, pixels_by = seen[:2], tangents[1][:2]
+    _, change = jax.jvp(lambda c, p: gradient(points, c, p), (cameras, pixels), (tangents[0], pixels_by))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (
+        jax.jvp(lambda x: gradient(x, cameras, pixels), (points,), (axis,))[1] for axis in _axes(points[0])
+    )
+    moved = _times(_inverse((xx, xy, xz, yy, yz, zz)), change)
+    known = jnp.any(seen.used, axis=0)
+    return points, tuple(jnp.where(known, -by, 0.0) for by in moved)
 
 
 def _ideal(cameras: Camera, pixels: Float[Array, "2 C B"]) -> tuple[Float[Array, "2 C B"], Bool[Array, "C B"]]:
@@ -240,112 +261,144 @@ def _ideal(cameras: Camera, pixels: Float[Array, "2 C B"]) -> tuple[Float[Array,
     return jax.vmap(one, in_axes=(0, 1), out_axes=(1, 0))(cameras, pixels)
 
 
-def _linear(cameras: Camera, ideal: Float[Array, "2 C B"], used: Bool[Array, "C B"]) -> Float[Array, "3 B"]:
+def _linear(cameras: Camera, seen: Seen) -> Vector:
     """Least squares of the rows x P3 - P1 and y P3 - P2 in camera units, each scaled to a distance from its plane."""
 
-    def one(camera: Camera, place: Float[Array, "2 B"]) -> tuple[Array, Array]:
+    def one(camera: Camera, x: Float[Array, " B"], y: Float[Array, " B"], used: Bool[Array, " B"]) -> tuple:
         r, t = camera.cam_from_world.rotation, camera.cam_from_world.translation
-        rows = jnp.stack([jnp.stack([place[k] * r[2, i] - r[k, i] for k in range(2)]) for i in range(3)])
-        offsets = jnp.stack([place[k] * t[2] - t[k] for k in range(2)])
-        length = jnp.sqrt(jnp.sum(rows**2, axis=0))
-        return rows / length[None], offsets / length
+        products = []
+        for k, place in enumerate((x, y)):
+            row = [place * r[2, i] - r[k, i] for i in range(3)]
+            weight = jnp.where(used, 1 / (row[0] ** 2 + row[1] ** 2 + row[2] ** 2), 0.0)
+            scaled = [weight * entry for entry in row]
+            offset = place * t[2] - t[k]
+            products.append([scaled[i] * row[j] for i, j in _PAIRS] + [entry * offset for entry in scaled])
+        return tuple(a + b for a, b in zip(*products, strict=True))
 
-    rows, offsets = jax.vmap(one, in_axes=(0, 1), out_axes=-2)(cameras, ideal)  # (3, 2, C, B), (2, C, B)
-    rows = jnp.where(used[None, None], rows, 0.0)
-    normal = jnp.stack([jnp.stack([jnp.sum(rows[i] * rows[j], axis=(0, 1)) for j in range(3)]) for i in range(3)])
-    return -_times(_inverse(normal), jnp.sum(rows * offsets[None], axis=(1, 2)))
+    sums = _sum_views(*jax.vmap(one)(cameras, seen.ideal_x, seen.ideal_y, seen.used))
+    return tuple(-value for value in _times(_inverse(sums[:6]), sums[6:]))
 
 
-def _residuals(
-    cameras: Camera, points: Float[Array, "3 B"], pixels: Float[Array, "2 C B"], used: Bool[Array, "C B"]
-) -> Float[Array, "2 C B"]:
+def _fit(cameras: Camera, seen: Seen, points: Vector) -> Fit:
+    """Cost and normal equations of the full camera model at some points."""
+
+    def one(camera: Camera, pixel_x: Array, pixel_y: Array, used: Array) -> tuple[Array, ...]:
+        x, y, by_x, by_y, depth = _linearised(camera, points)
+        x, y = jnp.where(used, x - pixel_x, 0.0), jnp.where(used, y - pixel_y, 0.0)
+        by_x, by_y = ([jnp.where(used, entry, 0.0) for entry in row] for row in (by_x, by_y))
+        gradient = [by_x[i] * x + by_y[i] * y for i in range(3)]
+        normal = [by_x[i] * by_x[j] + by_y[i] * by_y[j] for i, j in _PAIRS]
+        return (used & (depth <= 0)).astype(x.dtype), x * x + y * y, *gradient, *normal
+
+    behind, cost, *rest = _sum_views(*jax.vmap(one)(cameras, seen.pixel_x, seen.pixel_y, seen.used))
+    return Fit(behind, cost, tuple(rest[:3]), tuple(rest[3:]))
+
+
+@jax.custom_jvp
+def _sum_views(*terms: Float[Array, "C B"]) -> tuple[Float[Array, " B"], ...]:
+    """Sums over the cameras, all in one pass: XLA would compute the terms anew for every sum of its own."""
+    zero = tuple(jnp.zeros((), dtype=term.dtype) for term in terms)
+    return tuple(jax.lax.reduce(terms, zero, lambda a, b: tuple(map(jnp.add, a, b)), (0,)))
+
+
+@_sum_views.defjvp
+def _sum_views_jvp(terms: tuple, changes: tuple) -> tuple[tuple, tuple]:
+    return _sum_views(*terms), tuple(jnp.sum(change, axis=0) for change in changes)
+
+
+def _residuals(cameras: Camera, seen: Seen, points: Vector) -> Float[Array, "B C 2"]:
     """Projected minus observed, px; 0 for views not used."""
-    projected = jax.vmap(lambda camera: camera.project(points.T), out_axes=1)(cameras)  # (B, C, 2)
-    return jnp.where(used[None], projected.transpose(2, 1, 0) - pixels, 0.0)
+    projected = jax.vmap(lambda camera: camera.project(jnp.stack(points, axis=-1)), out_axes=1)(cameras)
+    observed = jnp.stack([seen.pixel_x.T, seen.pixel_y.T], axis=-1)
+    return jnp.where(seen.used.T[:, :, None], projected - observed, 0.0)
 
 
-def _residuals_and_jacobian(
-    cameras: Camera, points: Float[Array, "3 B"], pixels: Float[Array, "2 C B"], used: Bool[Array, "C B"]
-) -> tuple[Float[Array, "2 C B"], Float[Array, "2 3 C B"]]:
-    residuals, derivative = jax.linearize(lambda x: _residuals(cameras, x, pixels, used), points)
-    return residuals, jnp.stack([derivative(e) for e in _axes(points)], axis=1)
+def _linearised(camera: Camera, points: Vector) -> tuple[Array, Array, list[Array], list[Array], Array]:
+    """Pixel x and y, their derivatives by the point, and the depth: `Camera.project` taken apart."""
+    r, t = camera.cam_from_world.rotation, camera.cam_from_world.translation
+    right, down, depth = (r[i, 0] * points[0] + r[i, 1] * points[1] + r[i, 2] * points[2] + t[i] for i in range(3))
+    tiny = jnp.finfo(depth.dtype).eps
+    inverse = 1 / jnp.where(jnp.abs(depth) < tiny, tiny, depth)
+    u, v = right * inverse, down * inverse
+    place = stack_last(u, v)
+    along_u, along_v = (jnp.zeros_like(place).at[:, i].set(1.0) for i in range(2))
+    bent, by_u = jax.jvp(camera.distortion.distort, (place,), (along_u,))
+    _, by_v = jax.jvp(camera.distortion.distort, (place,), (along_v,))
+    u_by = [(r[0, i] - u * r[2, i]) * inverse for i in range(3)]
+    v_by = [(r[1, i] - v * r[2, i]) * inverse for i in range(3)]
+    x, y = (camera.focal[k] * bent[:, k] + camera.center[k] for k in range(2))
+    x_by, y_by = ([camera.focal[k] * (by_u[:, k] * u_by[i] + by_v[:, k] * v_by[i]) for i in range(3)] for k in range(2))
+    return x, y, x_by, y_by, depth
 
 
-def _depths(cameras: Camera, points: Float[Array, "3 B"]) -> Float[Array, "C B"]:
-    return jax.vmap(lambda camera: camera.depth(points.T))(cameras)
-
-
-def _parallax(cameras: Camera, points: Float[Array, "3 B"], used: Bool[Array, "C B"]) -> Float[Array, " B"]:
+def _parallax(cameras: Camera, seen: Seen, points: Vector) -> Float[Array, " B"]:
     """Largest angle between two rays, from the largest chord between their directions: exact where it is small."""
     positions = jax.vmap(lambda camera: camera.position)(cameras)
-    rays = points[None] - positions[:, :, None]
-    length = _safe_sqrt(jnp.sum(rays**2, axis=1, keepdims=True))
-    rays = rays / jnp.where(length > 0, length, 1.0)
+    rays = [points[i][None] - positions[:, i, None] for i in range(3)]
+    length = _safe_sqrt(rays[0] ** 2 + rays[1] ** 2 + rays[2] ** 2)
+    rays = tuple(ray / jnp.where(length > 0, length, 1.0) for ray in rays)
 
-    def widen(widest: Array, view: tuple[Array, Array]) -> tuple[Array, None]:
-        chord2 = jnp.sum((rays - view[0][None]) ** 2, axis=1)
-        return jnp.maximum(widest, jnp.max(jnp.where(used & view[1][None], chord2, 0.0), axis=0)), None
+    def widen(widest: Array, view: tuple[Vector, Array]) -> tuple[Array, None]:
+        other, used = view
+        chord2 = sum((a - b[None]) ** 2 for a, b in zip(rays, other, strict=True))
+        return jnp.maximum(widest, jnp.max(jnp.where(seen.used & used[None], chord2, 0.0), axis=0)), None
 
-    widest, _ = jax.lax.scan(widen, jnp.zeros_like(points[0]), (rays, used))
+    widest, _ = jax.lax.scan(widen, jnp.zeros_like(points[0]), (rays, seen.used))
     return 2 * jnp.arcsin(jnp.minimum(_safe_sqrt(widest) / 2, 1.0))
 
 
 def _from_cameras(
-    cameras: Camera,
-    points: Float[Array, "3 B"],
-    used: Bool[Array, "C B"],
-    jacobian: Float[Array, "2 3 C B"],
-    normal: Float[Array, "3 3 B"],
-    camera_covariance: Float[Array, "D D"],
-) -> Float[Array, "3 3 B"]:
+    cameras: Camera, seen: Seen, points: Vector, inverse: Symmetric, camera_covariance: Float[Array, "D D"]
+) -> Float[Array, "B 3 3"]:
     """What the cameras' own covariance adds to the points': both move so that the pixel error stays least."""
 
-    def by_numbers(camera: Camera) -> Float[Array, "B 2 15"]:
-        zero = jnp.zeros(PARAMETERS, dtype=points.dtype)
-        return jax.jacfwd(lambda change: camera.perturbed(change).project(points.T))(zero)
+    def one(camera: Camera, used: Bool[Array, " B"]) -> Float[Array, "3 15 B"]:
+        def pixel(change: Float[Array, "15"]) -> Float[Array, "2 B"]:
+            return camera.perturbed(change).project(jnp.stack(points, axis=-1)).T
 
-    by_camera = jnp.where(used[:, :, None, None], jax.vmap(by_numbers)(cameras), 0.0)  # (C, B, 2, 15)
-    pull = jnp.einsum("kicb,cbkp->bicp", jacobian, by_camera)
-    moved = jnp.einsum("jib,bicp->bjcp", _inverse(normal), pull).reshape(points.shape[1], 3, -1)
-    return jnp.einsum("bid,de,bje->ijb", moved, camera_covariance, moved, optimize=[(0, 1), (0, 1)])
+        by_camera = jax.jacfwd(pixel)(jnp.zeros(PARAMETERS, dtype=points[0].dtype))  # (2, B, 15)
+        _, _, by_x, by_y, _ = _linearised(camera, points)
+        rows = [x[:, None] * by_camera[0] + y[:, None] * by_camera[1] for x, y in zip(by_x, by_y, strict=True)]
+        return jnp.where(used[None, None], jnp.stack(rows).transpose(0, 2, 1), 0.0)
+
+    pull = jax.vmap(one)(cameras, seen.used).transpose(3, 1, 0, 2)  # (B, 3, C, 15)
+    moved = jnp.einsum("bij,bjd->bid", _full(inverse), pull.reshape(*pull.shape[:2], -1))
+    spread = (moved.reshape(-1, moved.shape[2]) @ camera_covariance).reshape(moved.shape)
+    return jnp.einsum("bid,bjd->bij", spread, moved)
 
 
-def _normal_matrix(jacobian: Float[Array, "2 3 C B"]) -> Float[Array, "3 3 B"]:
-    half = {(i, j): jnp.sum(jacobian[:, i] * jacobian[:, j], axis=(0, 1)) for i in range(3) for j in range(3) if i <= j}
-    return jnp.stack([jnp.stack([half[min(i, j), max(i, j)] for j in range(3)]) for i in range(3)])
-
-
-def _inverse(matrix: Float[Array, "3 3 B"]) -> Float[Array, "3 3 B"]:
+def _inverse(matrix: Symmetric) -> Symmetric:
     """Inverse of symmetric positive matrices by L D L^T; pivots too small to mean anything are raised."""
-    m = matrix
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    least = jnp.where(trace > 0, trace, 1.0) * jnp.finfo(m.dtype).eps
-    d0 = jnp.maximum(m[0, 0], least)
-    l10, l20 = m[1, 0] / d0, m[2, 0] / d0
-    d1 = jnp.maximum(m[1, 1] - l10 * m[1, 0], least)
-    l21 = (m[2, 1] - l20 * m[1, 0]) / d1
-    d2 = jnp.maximum(m[2, 2] - l20 * m[2, 0] - l21 * l21 * d1, least)
-    a = l10 * l21 - l20
-    i22 = 1 / d2
+    xx, xy, xz, yy, yz, zz = matrix
+    trace = xx + yy + zz
+    least = jnp.where(trace > 0, trace, 1.0) * jnp.finfo(trace.dtype).eps
+    i0 = 1 / jnp.maximum(xx, least)
+    l10, l20 = xy * i0, xz * i0
+    d1 = jnp.maximum(yy - l10 * xy, least)
+    i1 = 1 / d1
+    l21 = (yz - l20 * xy) * i1
+    i22 = 1 / jnp.maximum(zz - l20 * xz - l21 * l21 * d1, least)
+    across = l10 * l21 - l20
     i12 = -l21 * i22
-    i02 = a * i22
-    i11 = 1 / d1 - l21 * i12
-    i01 = -l10 / d1 - l21 * i02
-    i00 = 1 / d0 + l10 * l10 / d1 + a * i02
-    return jnp.stack([jnp.stack([i00, i01, i02]), jnp.stack([i01, i11, i12]), jnp.stack([i02, i12, i22])])
+    i02 = across * i22
+    i01 = -l10 * i1 - l21 * i02
+    return i0 + l10 * l10 * i1 + across * i02, i01, i02, i1 - l21 * i12, i12, i22
 
 
-def _times(matrix: Float[Array, "3 3 B"], vector: Float[Array, "3 B"]) -> Float[Array, "3 B"]:
-    return jnp.stack([sum((matrix[i, j] * vector[j] for j in range(1, 3)), matrix[i, 0] * vector[0]) for i in range(3)])
+def _times(matrix: Symmetric, vector: Vector) -> Vector:
+    (xx, xy, xz, yy, yz, zz), (x, y, z) = matrix, vector
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
 
 
-def _over(mask: Bool[Array, " B"], values: Float[Array, "*front B"]) -> Bool[Array, "*front B"]:
-    return jnp.broadcast_to(mask.reshape((1,) * (values.ndim - 1) + mask.shape), values.shape)
+def _full(matrix: Symmetric) -> Float[Array, "B 3 3"]:
+    xx, xy, xz, yy, yz, zz = matrix
+    return jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
 
 
-def _axes(points: Float[Array, "3 B"]) -> list[Float[Array, "3 B"]]:
+def _axes(like: Float[Array, " B"]) -> list[Vector]:
     """The three unit displacements of every point."""
-    return [jnp.zeros_like(points).at[i].set(1.0) for i in range(3)]
+    zero, one = jnp.zeros_like(like), jnp.ones_like(like)
+    return [(one, zero, zero), (zero, one, zero), (zero, zero, one)]
 
 
 def _safe_sqrt(squared: Array) -> Array:

@@ -14,7 +14,7 @@ from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 # A ray 89.9 degrees off the axis; beyond it a polynomial in r^2 means nothing and only overflows.
 _MAX_R2 = 1e6
 _HALVINGS = 40
-_RADIAL_STEPS = 12
+_RADIAL_STEPS = 10
 _PLANE_STEPS = 4
 
 
@@ -75,7 +75,7 @@ class Brown(AbstractDistortion):
     def is_monotone(self, xy: Float[AnyArray, "*batch 2"]) -> Bool[Array, "*batch"]:
         """Whether the radial polynomial grows all the way from the axis to the radius of ideal places."""
         xy = as_float(xy)
-        return _least_slope(self.coefficients, jnp.sum(xy**2, axis=-1)) > 0
+        return jnp.sum(xy**2, axis=-1) <= _monotone_r2(self.coefficients)
 
 
 def _distort(coefficients: Float[Array, "5"], x: Array, y: Array) -> tuple[Array, Array]:
@@ -125,8 +125,8 @@ def _least_slope(coefficients: Float[Array, "5"], r2: Array) -> Array:
     return least
 
 
-def _monotone_radius(coefficients: Float[Array, "5"]) -> Float[Array, ""]:
-    """Ideal radius up to which the radial part grows, by halving; at most the root of `_MAX_R2`."""
+def _monotone_r2(coefficients: Float[Array, "5"]) -> Float[Array, ""]:
+    """Squared ideal radius up to which the distorted radius grows, by halving; at most `_MAX_R2`."""
 
     def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
@@ -134,20 +134,38 @@ def _monotone_radius(coefficients: Float[Array, "5"]) -> Float[Array, ""]:
         grows = _least_slope(coefficients, middle) > 0
         return jnp.where(grows, middle, low), jnp.where(grows, high, middle)
 
-    start = jnp.full_like(coefficients[0], 1e-6), jnp.full_like(coefficients[0], _MAX_R2)
-    return jnp.sqrt(jax.lax.fori_loop(0, _HALVINGS, halve, start)[0])
+    largest = jnp.full_like(coefficients[0], _MAX_R2)
+    inner = jax.lax.fori_loop(0, _HALVINGS, halve, (1 / largest, largest))[0]
+    return jnp.where(_least_slope(coefficients, largest) > 0, largest, inner)
 
 
 @jax.custom_jvp
 @jax.jit
 def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
     """The ideal place: Newton on the radius within the range where it grows, then Newton on the plane."""
-    tx, ty = target[..., 0], target[..., 1]
-    reach = _monotone_radius(coefficients)
-    k1, k2, _, _, k3 = coefficients
-    distorted = jnp.sqrt(tx * tx + ty * ty)
+    aim = jnp.moveaxis(target, -1, 0)
+    distorted = jnp.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
+    radius = _undistort_radius(coefficients, distorted)
+    shrink = radius / jnp.where(distorted > 0, distorted, 1.0)
+    # The radial part is nearly right already: a step far longer than tangential distortion is a wrong one.
+    longest = 0.2 * (radius + 0.1)
 
-    def radial_step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def step(_: int, place: Float[Array, "2 *batch"]) -> Float[Array, "2 *batch"]:
+        x, y = place
+        gx, gy = _distort(coefficients, x, y)
+        dx, dy = _solve(_jacobian(coefficients, x, y), aim[0] - gx, aim[1] - gy)
+        return jnp.stack([x + jnp.clip(dx, -longest, longest), y + jnp.clip(dy, -longest, longest)])
+
+    start = jnp.stack([aim[0] * shrink, aim[1] * shrink])
+    return jnp.moveaxis(jax.lax.fori_loop(0, _PLANE_STEPS, step, start), 0, -1)
+
+
+def _undistort_radius(coefficients: Float[Array, "5"], distorted: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """The ideal radius by Newton steps that fall back on halving, within the range where the radius grows."""
+    k1, k2, _, _, k3 = coefficients
+    reach = jnp.sqrt(_monotone_r2(coefficients))
+
+    def step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         radius, low, high = state
         r2 = radius * radius
         excess = radius * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) - distorted
@@ -157,18 +175,7 @@ def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]
         return jnp.where((slope > 0) & (newton >= low) & (newton <= high), newton, (low + high) / 2), low, high
 
     start = jnp.minimum(distorted, reach), jnp.zeros_like(distorted), jnp.zeros_like(distorted) + reach
-    radius = jax.lax.fori_loop(0, _RADIAL_STEPS, radial_step, start)[0]
-    shrink = radius / jnp.where(distorted > 0, distorted, 1.0)
-
-    def plane_step(_: int, place: tuple[Array, Array]) -> tuple[Array, Array]:
-        x, y = place
-        gx, gy = _distort(coefficients, x, y)
-        dx, dy = _solve(_jacobian(coefficients, x, y), tx - gx, ty - gy)
-        # No step longer than a fifth of the radius it starts from: the radial part is nearly right already.
-        scale = jnp.minimum(1.0, 0.2 * (radius + 0.1) / (jnp.sqrt(dx * dx + dy * dy) + 1e-30))
-        return x + scale * dx, y + scale * dy
-
-    return stack_last(*jax.lax.fori_loop(0, _PLANE_STEPS, plane_step, (tx * shrink, ty * shrink)))
+    return jax.lax.fori_loop(0, _RADIAL_STEPS, step, start)[0]
 
 
 @_undistort.defjvp
@@ -191,7 +198,7 @@ def _reaches(
     gx, gy = _distort(coefficients, x, y)
     gap = jnp.maximum(jnp.abs(gx - tx), jnp.abs(gy - ty))
     tolerance = 200 * jnp.finfo(gap.dtype).eps * (1 + jnp.abs(tx) + jnp.abs(ty))
-    return (gap < tolerance) & (_least_slope(coefficients, x * x + y * y) > 0)
+    return (gap < tolerance) & (x * x + y * y <= _monotone_r2(coefficients))
 
 
 def _solve(jacobian: tuple[Array, Array, Array], x: Array, y: Array) -> tuple[Array, Array]:
