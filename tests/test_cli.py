@@ -319,8 +319,8 @@ def test_detect_writes_tracks_and_how_it_went(tmp_path, capsys):
 
 
 def test_demo_recovers_the_simulated_room(tmp_path, real_report, capsys):
-    code, out, _ = run("demo", "--out", tmp_path / "run", "--json", capsys=capsys)
-    assert code == 0
+    code, out, err = run("demo", "--out", tmp_path / "run", "--json", "-v", capsys=capsys)
+    assert code == 0, err
     figures = json.loads(out)
     assert figures["truth"]["camera_mean_mm"] < 15
     assert figures["truth"]["outliers_found"] == figures["truth"]["outliers_planted"] > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -15,6 +16,8 @@ from jaxpoint.config import LedSettings, RoomConfig
 from jaxpoint.errors import UsageError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from jaxpoint.detect.led import LedDetection
 
 
@@ -39,8 +42,9 @@ class Detect(SeededOptions):
         return Detect(kind=tyro.MISSING, sources=tyro.MISSING, settings=room.detect.led, runtime=room.runtime)
 
     def run(self, console: Console) -> Outcome:
-        """Write the tracks and, beside them, how the detection went."""
+        """Write the tracks and, beside them, how the detection went in figures and pictures."""
         from jaxpoint.detect.led import DetectionInterrupted, detect_led
+        from jaxpoint.report.html import write_detection_section
 
         out = self.needed_out("tracks.npz")
         _check_out(out, self.force)
@@ -52,6 +56,8 @@ class Detect(SeededOptions):
                 _write(kept, stop.finished)
                 raise KeyboardInterrupt(f"{stop} They lie in {kept}") from None
         figures = _write(out, detection)
+        page = out.with_suffix(".html")
+        write_detection_section(page, _strips(detection))
         rows = [
             (
                 camera["name"],
@@ -63,7 +69,7 @@ class Detect(SeededOptions):
             for camera in figures["cameras"]
         ]
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
-        return Outcome(figures, (*lines, f"{figures['seconds']:.1f} s", f"Tracks: {out}"))
+        return Outcome(figures, (*lines, f"{figures['seconds']:.1f} s", f"Pictures: {page}", f"Tracks: {out}"))
 
 
 def _check_out(out: Path, force: bool) -> None:
@@ -73,6 +79,23 @@ def _check_out(out: Path, force: bool) -> None:
         raise UsageError(f"'{out}' exists; choose another --out, or replace it by --force.")
     if not out.absolute().parent.is_dir():
         raise UsageError(f"There is no folder '{out.parent}'; make it, or choose another --out.")
+
+
+def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:
+    """One row of crops, with its caption, for each camera and reason."""
+    import numpy as np
+
+    from jaxpoint.detect.contact import contact_sheet
+
+    strips = []
+    for camera, name in enumerate(detection.tracks.names):
+        counts = detection.counts(camera)
+        for reason, group in groupby(contact_sheet(detection, camera), key=lambda crop: crop.reason):
+            crops = list(group)
+            frames = ", ".join(str(crop.frame_id) for crop in crops)
+            caption = f"{name}: {counts[reason]} {reason.name.lower().replace('_', ' ')}, such as frames {frames}"
+            strips.append((caption, np.concatenate([crop.image for crop in crops], axis=1)))
+    return strips
 
 
 def _write(out: Path, detection: LedDetection) -> dict[str, Any]:

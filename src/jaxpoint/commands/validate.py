@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,7 +101,8 @@ def _judge(lengths: LengthValidation, allowed_mm: float) -> QualityError | None:
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
     from jaxpoint.validation import validate_held_out
 
-    return validate_held_out(run.calibration.rig, tracks_from(path, run.config.input))
+    # The timestamps of the run belong to its own recording.
+    return validate_held_out(run.calibration.rig, tracks_from(path, replace(run.config.input, timestamps=None)))
 
 
 def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationDifference]:
