@@ -13,6 +13,7 @@ from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.camera.distortion import Brown
 
 MAX_PAIRS = 128  # of a large rig, this many pairs are tried
+FAR = 20.0  # thresholds, beyond which an error counts no more
 
 
 @dataclass(frozen=True)
@@ -21,16 +22,17 @@ class Consensus:
 
     points: np.ndarray  # (N, 3)
     agree: np.ndarray  # (N, D) views within the threshold of the point and in front
+    placed: np.ndarray  # (N,) there is a point, even if nobody agrees with it
     ambiguous: np.ndarray  # (N,) two views agree, but so do two others: nobody can say who is wrong
 
 
 def consensus(recording: Recording, state: RigState, threshold: float) -> Consensus:
     """Triangulate every frame from every pair of views and keep the point with which most views agree (px)."""
     pairs = _pairs(recording)
-    points, agree, ambiguous = _search(
+    points, agree, placed, ambiguous = _search(
         recording.pixels, recording.visible, state.rotation, state.cameras, pairs, np.float64(threshold)
     )
-    return Consensus(np.asarray(points), np.asarray(agree), np.asarray(ambiguous))
+    return Consensus(np.asarray(points), np.asarray(agree), np.asarray(placed), np.asarray(ambiguous))
 
 
 def _pairs(recording: Recording) -> np.ndarray:
@@ -64,10 +66,11 @@ def _search(pixels, visible, rotation, cameras, pairs, threshold):
         error, depth = _errors(rotation, cameras, focal, point, pixels)
         agree = visible & (error < threshold) & (depth > 0) & good[:, None]
         count = agree.sum(axis=1)
-        cost = jnp.where(visible, jnp.minimum(error, threshold), 0.0).sum(axis=1)
+        cost = jnp.where(visible, jnp.minimum(error, FAR * threshold), 0.0).sum(axis=1)
+        cost = jnp.where(good, cost, jnp.inf)
         old_point, old_agree, old_count, old_cost, ambiguous = best
-        more, equal = count > old_count, (count == old_count) & (count >= 2)
-        other = equal & (agree != old_agree).any(axis=1)
+        more, equal = count > old_count, count == old_count
+        other = equal & (count >= 2) & (agree != old_agree).any(axis=1)
         take = more | (equal & (cost < old_cost))
         ambiguous = jnp.where(more, False, ambiguous | other)
         return (
@@ -86,8 +89,8 @@ def _search(pixels, visible, rotation, cameras, pairs, threshold):
         jnp.full(frames, jnp.inf, dtype),
         jnp.zeros(frames, bool),
     )
-    (points, agree, count, _, ambiguous), _ = jax.lax.scan(attempt, start, pairs)
-    return points, agree, ambiguous & (count == 2) & (visible.sum(axis=1) > 2)
+    (points, agree, count, cost, ambiguous), _ = jax.lax.scan(attempt, start, pairs)
+    return points, agree, jnp.isfinite(cost), ambiguous & (count == 2) & (visible.sum(axis=1) > 2)
 
 
 def _midpoint(origin_a, rays_a, origin_b, rays_b):

@@ -49,7 +49,7 @@ def factorise(data: NormalisedTracks, lenses: np.ndarray, kept: np.ndarray, rng:
     problem, unknowns = _problem(points, weights, start.reshape(cameras, 12), np.zeros((len(points), 3)))
     end = solve(FACTORISE, unknowns, problem)
     found = np.asarray(end.cameras)[:cameras].reshape(cameras, 3, 4)
-    return _finished(data, found, from_blocks(end.points), lenses, kept, float(end.cost))
+    return finished(data, found, from_blocks(end.points), lenses, kept, float(end.cost))
 
 
 def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px: float) -> Projective:
@@ -62,7 +62,7 @@ def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px:
     )
     end = solve(ADJUST, unknowns, problem)
     found = np.asarray(end.cameras)[:cameras]
-    return _finished(
+    return finished(
         data, found[:, :12].reshape(cameras, 3, 4), from_blocks(end.points), found[:, 12], kept, float(end.cost)
     )
 
@@ -98,9 +98,10 @@ def _problem(pixels, weights, numbers, points, constants=None, loss=LEAST_SQUARE
     return problem, Unknowns(jnp.asarray(numbers), jnp.asarray(to_blocks(points, BLOCK)))
 
 
-def _finished(data, cameras, points, lenses, kept, cost) -> Projective:
-    """Signs such that most depths are positive, unit norms, and the errors in pixels."""
-    points = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+def finished(data, cameras, points, lenses, kept, cost) -> Projective:
+    """Signs such that most depths are positive, unit norms, and the errors in pixels; points (N, 3) or (N, 4)."""
+    if points.shape[1] == 3:
+        points = np.concatenate([points, np.ones((len(points), 1))], axis=1)
     depth = np.einsum("cj,fj->fc", cameras[:, 2], points)
     signs = np.where((np.sign(depth) * kept).sum(axis=0) < 0, -1.0, 1.0)
     cameras = cameras * (signs / np.linalg.norm(cameras, axis=(1, 2)))[:, None, None]

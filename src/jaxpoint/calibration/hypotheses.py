@@ -1,44 +1,80 @@
-"""From a projective reconstruction to starts for the Euclidean adjustment."""
+"""Starts for the Euclidean adjustment, from a projective reconstruction or from a chain of essential matrices."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.calibration.bundle import CENTER, FOCAL, RADIAL, SIZE
+from jaxpoint.calibration.bundle import ASPECT, CENTER, FOCAL, RADIAL, SIZE
+from jaxpoint.calibration.essential import chain, voted_focals
 from jaxpoint.calibration.factorization import Projective
 from jaxpoint.calibration.recording import Recording, RigState, padded_cameras
-from jaxpoint.calibration.stratification import Upgraded, candidates, upgrade
-from jaxpoint.calibration.twoview import NormalisedTracks
+from jaxpoint.calibration.stratification import Views, candidates, upgrade
+from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
+from jaxpoint.camera.rig import CameraRig
 
 REFERENCE_PAIRS = 4  # pairs of cameras whose focal lengths are searched
 HYPOTHESES = 3  # upgrades that are tried in full, at most
+TYPICAL_FOCAL, SIGMA_LOG_FOCAL = 1.2, 0.7  # half diagonals: what is believed of an unknown lens
+SIGMA_KNOWN_FOCAL = 0.02
 
 
-def upgraded_states(
-    recording: Recording, data: NormalisedTracks, projective: Projective, kept: np.ndarray
+@dataclass(frozen=True)
+class Lenses:
+    """What is known of the lenses before the rig is solved."""
+
+    focals: np.ndarray | None  # (C,) half diagonals, where intrinsics are known
+    division: np.ndarray  # (C,) division-model parameters
+    known: CameraRig | None
+
+    @staticmethod
+    def of(data: NormalisedTracks, geometry: TwoViewGeometry, known: CameraRig | None) -> Lenses:
+        """From known intrinsics, or from the pairs' division-model parameters."""
+        focals = None if known is None else np.asarray(known.cameras.focal)[:, 0] / data.half_diagonals
+        return Lenses(focals, geometry.lenses, known)
+
+
+def upgraded(
+    recording: Recording, data: NormalisedTracks, projective: Projective, kept: np.ndarray, lenses: Lenses
 ) -> list[RigState]:
-    """Distinct Euclidean rigs, the most plausible lenses first."""
+    """Distinct Euclidean rigs of a projective reconstruction, the most plausible lenses first."""
     count = len(projective.cameras)
-    pad = padded_cameras(count) - count
-    cameras = jnp.asarray(np.concatenate([projective.cameras, np.tile(np.eye(3, 4), (pad, 1, 1))]))
-    seen = jnp.asarray(np.arange(count + pad) < count)
-    roots, costs = candidates(cameras, seen, jnp.asarray(_reference_pairs(kept)))
+    views = _views(projective, lenses)
+    visible = jnp.asarray(np.pad(kept, ((0, 0), (0, len(views.exists) - count))))
+    roots, costs = candidates(views, jnp.asarray(_reference_pairs(kept)))
     costs = np.asarray(costs)
-    states, focals = [], []
+    states: list[RigState] = []
+    signatures: list[np.ndarray] = []
     for root, cost in zip(roots, costs):
-        if cost > max(100.0 * costs[0], 25.0 * count) and states:
+        if states and cost > max(100.0 * costs[0], 25.0 * count):
             break
-        visible = jnp.asarray(np.pad(kept, ((0, 0), (0, pad))))
-        rig = upgrade(root, cameras, jnp.asarray(projective.points), visible, seen)
-        focal = np.log(np.asarray(rig.focal)[:count])
-        if not np.isfinite(focal).all() or any(np.abs(focal - other).max() < 0.05 for other in focals):
+        rig = upgrade(root, views, jnp.asarray(projective.points), visible)
+        focal = np.asarray(rig.focal)[:count]
+        signature = np.append(np.log(focal), float(rig.in_front))
+        if not np.isfinite(signature).all() or any(np.abs(signature - old).max() < 0.05 for old in signatures):
             continue
-        focals.append(focal)
-        states.append(rig_state(recording, data, rig, projective.lenses))
+        signatures.append(signature)
+        rotation, translation = np.asarray(rig.rotation)[:count], np.asarray(rig.translation)[:count]
+        states.append(
+            rig_state(recording, data, rotation, translation, focal, np.asarray(rig.points), lenses, projective.lenses)
+        )
         if len(states) == HYPOTHESES:
             break
     return states
+
+
+def _views(projective: Projective, lenses: Lenses) -> Views:
+    count = len(projective.cameras)
+    pad = padded_cameras(count) - count
+    focals = np.full(count, TYPICAL_FOCAL) if lenses.focals is None else lenses.focals
+    return Views(
+        jnp.asarray(np.concatenate([projective.cameras, np.tile(np.eye(3, 4), (pad, 1, 1))])),
+        jnp.asarray(np.arange(count + pad) < count),
+        jnp.asarray(np.log(np.append(focals, np.ones(pad)))),
+        jnp.asarray(SIGMA_LOG_FOCAL if lenses.focals is None else SIGMA_KNOWN_FOCAL),
+    )
 
 
 def _reference_pairs(kept: np.ndarray) -> np.ndarray:
@@ -51,27 +87,66 @@ def _reference_pairs(kept: np.ndarray) -> np.ndarray:
     return np.resize(pairs, (REFERENCE_PAIRS, 2))
 
 
-def rig_state(recording: Recording, data: NormalisedTracks, rig: Upgraded, lenses: np.ndarray) -> RigState:
-    """The 15 numbers of every camera, in pixels, at a scale where the cameras are about 1 apart."""
-    count = recording.cameras
-    size = len(recording.image_sizes)
+def chained(
+    recording: Recording, data: NormalisedTracks, geometry: TwoViewGeometry, kept: np.ndarray, lenses: Lenses
+) -> list[RigState]:
+    """The rig of a chain of essential matrices, or nothing where a camera is not reached."""
+    focals = voted_focals(geometry) if lenses.focals is None else lenses.focals
+    poses = chain(geometry, data.points, kept, focals)
+    if poses is None:
+        return []
+    points = np.zeros((len(data.points), 3))
+    return [rig_state(recording, data, *poses, focals, points, lenses, geometry.lenses)]
+
+
+def rig_state(
+    recording: Recording,
+    data: NormalisedTracks,
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    focal: np.ndarray,
+    points: np.ndarray,
+    lenses: Lenses,
+    division: np.ndarray,
+) -> RigState:
+    """The 15 numbers of every camera, in pixels, at a scale where the cameras are about 1 apart.
+
+    Args:
+        rotation, translation: cam_from_world (C, 3, 3), (C, 3).
+        focal: (C,) half diagonals.
+        points: (N, 3).
+        lenses: known intrinsics, where there are any, replace the focal lengths.
+        division: (C,) division-model parameters.
+    """
+    count, size = recording.cameras, len(recording.image_sizes)
     numbers, base = np.zeros((size, SIZE)), np.tile(np.eye(3), (size, 1, 1))
-    base[:count] = np.asarray(rig.rotation)[:count]
-    translation, points = np.asarray(rig.translation)[:count], np.nan_to_num(np.asarray(rig.points))
-    positions = -np.einsum("cji,cj->ci", base[:count], translation)
+    base[:count] = rotation
+    positions = -np.einsum("cji,cj->ci", rotation, translation)
     middle = positions.mean(axis=0)
-    length = np.sqrt(((positions - middle) ** 2).sum(axis=1).mean())
-    length = length if length > 0 else 1.0
-    numbers[:count, 3:6] = (translation + np.einsum("cij,j->ci", base[:count], middle)) / length
-    points = np.clip((points - middle) / length, -1e3, 1e3)
-    focal = np.asarray(rig.focal)[:count]
+    length = np.sqrt(((positions - middle) ** 2).sum(axis=1).mean()) or 1.0
+    numbers[:count, 3:6] = (translation + np.einsum("cij,j->ci", rotation, middle)) / length
+    points = np.clip((np.nan_to_num(points) - middle) / length, -1e3, 1e3)
     numbers[:, FOCAL] = np.log(1000.0)
-    numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
     numbers[:, CENTER] = (recording.image_sizes - 1) / 2.0
+    if lenses.known is not None:
+        numbers[:count, FOCAL:] = known_numbers(lenses.known)
+        return RigState(numbers, base, points)
+    numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
     for camera in range(count):
         reach = np.linalg.norm(data.points[data.visible[:, camera], camera], axis=1).max()
-        numbers[camera, RADIAL] = brown_of_division(lenses[camera], focal[camera], reach)
+        numbers[camera, RADIAL] = brown_of_division(division[camera], focal[camera], reach)
     return RigState(numbers, base, points)
+
+
+def known_numbers(rig: CameraRig) -> np.ndarray:
+    """The nine lens numbers of known cameras, (C, 9), as `bundle` orders them."""
+    focal = np.asarray(rig.cameras.focal)
+    numbers = np.zeros((len(focal), SIZE - FOCAL))
+    numbers[:, 0] = np.log(focal[:, 1])
+    numbers[:, ASPECT - FOCAL] = np.log(focal[:, 0] / focal[:, 1])
+    numbers[:, 2:4] = np.asarray(rig.cameras.center)
+    numbers[:, 4:] = np.asarray(rig.cameras.distortion.coefficients)
+    return numbers
 
 
 def brown_of_division(lens: float, focal: float, reach: float) -> np.ndarray:
@@ -81,5 +156,4 @@ def brown_of_division(lens: float, focal: float, reach: float) -> np.ndarray:
     bent, third = bent[third > 0.2], third[third > 0.2]
     straight = bent / third / focal
     design = np.stack([straight**3, straight**5], axis=1)
-    k1, k2 = np.linalg.lstsq(design, bent / focal - straight, rcond=None)[0]
-    return np.array([k1, k2])
+    return np.linalg.lstsq(design, bent / focal - straight, rcond=None)[0]

@@ -29,7 +29,7 @@ class Judgement:
     state: RigState
     kept: np.ndarray  # (N, D)
     verdicts: np.ndarray  # (N, D) values of Verdict
-    errors: np.ndarray  # (N, D) px
+    errors: np.ndarray  # (N, D) px; 0 where there is no point or no pixel
 
 
 def judge(recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None) -> Judgement:
@@ -37,8 +37,7 @@ def judge(recording: Recording, state: RigState, threshold: float, loss_scale: f
     found = consensus(recording, state, 1.5 * threshold)
     frozen = Freedom(np.zeros(state.cameras.shape, bool), np.zeros(state.cameras.shape), np.zeros(state.cameras.shape))
     placed = RigState(state.cameras, state.base, found.points)
-    has_point = found.agree.sum(axis=1) >= 2
-    visible = recording.visible & has_point[:, None]
+    visible = recording.visible & found.placed[:, None]
     placed = adjust(recording, placed, visible, frozen, loss_scale=loss_scale or threshold / 2.0, steps=12).state
     pixels, depth = project(placed)
     errors = np.linalg.norm(pixels - recording.pixels, axis=-1)
@@ -51,7 +50,7 @@ def judge(recording: Recording, state: RigState, threshold: float, loss_scale: f
     verdicts[recording.visible & (recording.visible.sum(axis=1) < 2)[:, None]] = Verdict.FEW_VIEWS
     verdicts[~recording.visible] = Verdict.HIDDEN
     verdicts[kept] = Verdict.KEPT
-    return Judgement(placed, kept, verdicts, np.where(recording.visible & has_point[:, None], errors, 0.0))
+    return Judgement(placed, kept, verdicts, np.where(visible, errors, 0.0))
 
 
 def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int) -> float:
@@ -118,7 +117,7 @@ def settle(
     while rounds < settings.max_rounds and not (settled and converged):
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
-        end = adjust(recording, judged.state, judged.kept, freedom, steps=100, **loss)
+        end = adjust(recording, judged.state, judged.kept, freedom, steps=50, rtol=1e-5, **loss)
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
         threshold = max(settings.sigmas * sigma, settings.floor_px)
         again = judge(recording, end.state, threshold, 2.0 * sigma)

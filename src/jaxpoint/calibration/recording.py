@@ -173,7 +173,7 @@ def adjust(
     *,
     loss_scale: float = LEAST_SQUARES,
     steps: int = 100,
-    rtol: float = 1e-8,
+    rtol: float = 1e-6,
 ) -> Solved:
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()

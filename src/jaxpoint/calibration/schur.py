@@ -132,8 +132,9 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """
 
     model: AbstractModel
-    rtol: float = 1e-10  # relative decrease of the cost below which two successive steps end the iteration
+    rtol: float = 1e-8  # relative decrease of the cost below which a step counts as quiet; two such steps are the end
     atol: float = 1e-14
+    xtol: float = 1e-4  # and the largest camera step then, as the change of cost it would make unopposed over the cost
     norm: Callable[[PyTree], Array] = optx.max_norm
     start_damping: float = 1e-4
     project_points: bool = eqx.field(static=True, default=False)
@@ -151,11 +152,11 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         )
 
     def step(self, fn, y: Unknowns, args: Problem, options: dict[str, Any], state: SchurState, tags):
-        trial = _trial(self.model, y, args, state.damping, self.project_points)
-        cost = _cost(self.model, trial, args)
+        trial, cost, reach = _trial(self.model, y, args, state.damping, self.project_points)
         better = cost < state.cost  # False for NaN
         decrease = jnp.where(better, state.cost - cost, 0.0)
-        small = decrease <= self.rtol * state.cost + self.atol
+        # A valley of the focal lengths lowers the cost by next to nothing while the cameras still travel.
+        small = (decrease <= self.rtol * state.cost + self.atol) & (reach <= self.xtol * state.cost + self.atol)
         damping = jnp.where(better, jnp.maximum(state.damping * 0.1, 1e-12), state.damping * 4.0)
         new_y = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, y)
         new_state = SchurState(
@@ -176,31 +177,38 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
         return y, aux, {"cost": state.cost, "settled": settled, "damping": state.damping}
 
 
+def _prior_cost(cameras, problem: Problem) -> Float[Array, ""]:
+    return (problem.prior_weight * (cameras - problem.prior_mean) ** 2).sum()
+
+
+def _point_costs(model, state, loss_scale, points, pixels, weights) -> Float[Array, " B"]:
+    """The robust cost of each point of a block: sum of w rho(|r|^2) over the cameras."""
+    square = (model._block_residuals(state, points, pixels) ** 2).sum(axis=1)
+    loss = loss_scale**2 * jnp.log1p(square / loss_scale**2)
+    return jnp.where(weights > 0, weights * loss, 0.0).sum(axis=0)
+
+
 def _cost(model, y: Unknowns, problem: Problem) -> Float[Array, ""]:
-    """The robust cost: sum of w rho(|r|^2) and of the priors (not halved)."""
+    """The robust cost, priors included (not halved)."""
     state = model.state(y.cameras, problem.constants)
-    scale2 = problem.loss_scale**2
 
     def add(total, block):
-        points, pixels, weights = block
-        square = (model._block_residuals(state, points, pixels) ** 2).sum(axis=1)
-        loss = scale2 * jnp.log1p(square / scale2)
-        return total + jnp.where(weights > 0, weights * loss, 0.0).sum(), None
+        return total + _point_costs(model, state, problem.loss_scale, *block).sum(), None
 
-    start = (problem.prior_weight * (y.cameras - problem.prior_mean) ** 2).sum()
-    return jax.lax.scan(add, start, (y.points, problem.pixels, problem.weights))[0]
+    return jax.lax.scan(add, _prior_cost(y.cameras, problem), (y.points, problem.pixels, problem.weights))[0]
 
 
 def _normal(model, state, free, loss_scale, points, pixels, weights) -> _Normal:
     residual, for_camera, for_point = model._block_jacobians(state, points, pixels)
-    square = (residual**2).sum(axis=1)
-    weight = weights / (1.0 + square / loss_scale**2)
-    root = jnp.where(weights > 0, jnp.sqrt(weight), 0.0)[:, None]
     # A hidden observation may be anything, also infinite: it must not reach a product.
     seen = (weights > 0)[:, None]
-    residual = jnp.where(seen, residual, 0.0) * root
+    residual = jnp.where(seen, residual, 0.0)
+    # Weighting alone, without the loss's curvature (Triggs et al. 2000, 4.3): with it, points whose loss is concave
+    # along a residual were sent far off and steps failed one after the other (measured on real recordings).
+    root = jnp.sqrt(weights / (1.0 + (residual**2).sum(axis=1) / loss_scale**2))[:, None]
     for_camera = jnp.where(seen[:, :, None] & free[:, None, :, None], for_camera, 0.0) * root[:, :, None]
     for_point = jnp.where(seen[:, :, None], for_point, 0.0) * root[:, :, None]
+    residual = residual * root
     cameras = for_camera.shape[0]
     flat = jnp.moveaxis(for_camera, 2, 1).reshape(cameras, model.camera_size, -1)
     return _Normal(
@@ -262,7 +270,10 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
     return (diagonal, product), gradient.reshape(-1) - moved
 
 
-def _camera_step(model, y: Unknowns, problem: Problem, damping, point_damping) -> Float[Array, "C p"]:
+def _camera_step(
+    model, y: Unknowns, problem: Problem, damping, point_damping
+) -> tuple[Float[Array, "C p"], Float[Array, ""]]:
+    """The damped step of the cameras, and the change of cost that its parts would make one by one."""
     (diagonal, product), gradient = _reduced(model, y, problem, point_damping)
     cameras, size = y.cameras.shape
     own = jnp.diagonal(diagonal, axis1=1, axis2=2)
@@ -276,24 +287,35 @@ def _camera_step(model, y: Unknowns, problem: Problem, damping, point_damping) -
     # In units in which every diagonal entry of the undamped camera block is 1; a held parameter gets a lone 1.
     matrix = matrix / (scale[:, None] * scale[None, :]) + jnp.diag(jnp.where(held, 1.0, damping))
     factor = jax.scipy.linalg.cho_factor(matrix)
-    return -(jax.scipy.linalg.cho_solve(factor, gradient / scale) / scale).reshape(cameras, size)
+    scaled = -jax.scipy.linalg.cho_solve(factor, gradient / scale)
+    return (scaled / scale).reshape(cameras, size), (scaled**2).sum()
 
 
-def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool) -> Unknowns:
-    """The unknowns after one damped step."""
+def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
+    """The unknowns after one damped step, their cost, and the reach of the camera step (see `_camera_step`).
+
+    Every point whose own cost would grow stays where it is: one wild point of a robust problem must not make the
+    whole step fail.
+    """
     point_damping = jnp.zeros_like(damping) if project_points else damping
-    step = _camera_step(model, y, problem, damping, point_damping)
+    step, reach = _camera_step(model, y, problem, damping, point_damping)
     moved = model.retract(y.cameras, problem.constants, step)
-    state = model.state(moved if project_points else y.cameras, problem.constants)
+    ahead = model.state(moved, problem.constants)
+    state = ahead if project_points else model.state(y.cameras, problem.constants)
 
-    def update(_, block):
-        points = block[0]
+    def update(total, block):
+        points, pixels, weights = block
         normal = _normal(model, state, problem.free, problem.loss_scale, *block)
         gradient = normal.point_gradient
         if not project_points:
             gradient = gradient + (normal.cross * step[:, :, None, None]).sum(axis=(0, 1))
         inverse = _inverse_3x3(_damped(normal.points, point_damping))
-        return None, points - (inverse * gradient[None]).sum(axis=1)
+        trial = points - (inverse * gradient[None]).sum(axis=1)
+        before = _point_costs(model, ahead, problem.loss_scale, points, pixels, weights)
+        after = _point_costs(model, ahead, problem.loss_scale, trial, pixels, weights)
+        better = after < before
+        return total + jnp.where(better, after, before).sum(), jnp.where(better[None], trial, points)
 
-    _, points = jax.lax.scan(update, None, (y.points, problem.pixels, problem.weights))
-    return Unknowns(moved, points)
+    start = _prior_cost(moved, problem)
+    cost, points = jax.lax.scan(update, start, (y.points, problem.pixels, problem.weights))
+    return Unknowns(moved, points), cost, reach

@@ -11,13 +11,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 FOCALS = (0.2, 4.0)  # in half diagonals: 160 to 20 degrees of view along the diagonal
 GRID = 30
-SIGMA_CENTER, SIGMA_ASPECT, SIGMA_SKEW, SIGMA_FOCAL = 0.05, 0.02, 0.02, 0.7
-MEAN_FOCAL = 1.2
+SIGMA_CENTER, SIGMA_ASPECT, SIGMA_SKEW = 0.05, 0.02, 0.02
 HUGE = 1e6
+
+
+class Views(eqx.Module):
+    """Projective cameras, and what is believed of their focal lengths."""
+
+    projections: Float[Array, "C 3 4"]  # scaled so that depths are positive
+    exists: Bool[Array, " C"]  # False for padding
+    log_focal: Float[Array, " C"]  # expected, of half diagonals
+    log_focal_sigma: Float[Array, ""]
 
 
 def image_of_quadric(projections: Float[Array, "C 3 4"], root: Float[Array, "4 3"]) -> Float[Array, "C 3 3"]:
@@ -27,10 +35,9 @@ def image_of_quadric(projections: Float[Array, "C 3 4"], root: Float[Array, "4 3
     return omega / jnp.maximum(omega[:, 2:, 2:], 1e-12)
 
 
-def _lens_residuals(root, data) -> Float[Array, "C 5"]:
+def _lens_residuals(root, views: Views) -> Float[Array, "C 5"]:
     """How implausible the cameras are under a quadric, in standard deviations."""
-    projections, seen = data
-    omega = image_of_quadric(projections, root)
+    omega = image_of_quadric(views.projections, root)
     x, y = omega[:, 0, 2], omega[:, 1, 2]
     square_x = jnp.maximum(omega[:, 0, 0] - x**2, 1e-6)
     square_y = jnp.maximum(omega[:, 1, 1] - y**2, 1e-6)
@@ -41,18 +48,19 @@ def _lens_residuals(root, data) -> Float[Array, "C 5"]:
         y / SIGMA_CENTER,
         (log_x - log_y) / SIGMA_ASPECT,
         skew / SIGMA_SKEW,
-        (0.5 * (log_x + log_y) - jnp.log(MEAN_FOCAL)) / SIGMA_FOCAL,
+        (0.5 * (log_x + log_y) - views.log_focal) / views.log_focal_sigma,
     ]
     residual = jnp.stack(rows, axis=1)
     # A single wild camera must not decide: large residuals grow with their square root.
     size = jnp.sqrt(1.0 + (residual / 10.0) ** 2)
-    return jnp.where(seen[:, None], residual / jnp.sqrt(size), 0.0)
+    return jnp.where(views.exists[:, None], residual / jnp.sqrt(size), 0.0)
 
 
-def linear_quadric(projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"]) -> Float[Array, "4 3"]:
+def linear_quadric(views: Views) -> Float[Array, "4 3"]:
     """Root of the dual absolute quadric from weighted linear equations (Pollefeys et al. 2002), made semi-definite."""
-    scale = jnp.linalg.norm(projections[:, 2], axis=1)
-    unit = projections / jnp.where(seen, scale, 1.0)[:, None, None]
+    seen = views.exists
+    scale = jnp.linalg.norm(views.projections[:, 2], axis=1)
+    unit = views.projections / jnp.where(seen, scale, 1.0)[:, None, None]
     upper = jnp.triu_indices(4)
 
     def row(camera, i, j):
@@ -60,19 +68,20 @@ def linear_quadric(projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"]) 
         both = outer + outer.T
         return both[upper] - jnp.where(upper[0] == upper[1], outer[upper], 0.0)
 
-    def rows(camera):
+    def rows(camera, log_focal):
+        square = jnp.exp(2.0 * log_focal)
         return jnp.stack(
             [
                 (row(camera, 0, 0) - row(camera, 1, 1)) / 0.2,
                 row(camera, 0, 1) / 0.01,
                 row(camera, 0, 2) / 0.1,
                 row(camera, 1, 2) / 0.1,
-                (row(camera, 0, 0) - MEAN_FOCAL**2 * row(camera, 2, 2)) / 5.0,
-                (row(camera, 1, 1) - MEAN_FOCAL**2 * row(camera, 2, 2)) / 5.0,
+                (row(camera, 0, 0) - square * row(camera, 2, 2)) / 5.0,
+                (row(camera, 1, 1) - square * row(camera, 2, 2)) / 5.0,
             ]
         )
 
-    equations = jnp.where(seen[:, None, None], jax.vmap(rows)(unit), 0.0).reshape(-1, 10)
+    equations = jnp.where(seen[:, None, None], jax.vmap(rows)(unit, views.log_focal), 0.0).reshape(-1, 10)
 
     def solved(weights):
         values = jnp.linalg.eigh((equations * weights[:, None]).T @ (equations * weights[:, None]))[1][:, 0]
@@ -88,17 +97,17 @@ def linear_quadric(projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"]) 
     return vectors[:, 1:] * jnp.sqrt(jnp.maximum(values[None, 1:], 1e-6 * values[3]))
 
 
-def focal_grid(projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"], first, second) -> Float[Array, "K 4 3"]:
+def focal_grid(views: Views, first, second) -> Float[Array, "K 4 3"]:
     """Best roots over a grid of two cameras' focal lengths, which fix the plane at infinity (Gherardi & Fusiello 2010).
 
     Depths must be positive beforehand: the sign of P matters. Returns the K = 3 best of GRID^2, unlike each other.
     """
-    back = _completed(projections[first])
-    relative = projections[second] @ back
+    back = _completed(views.projections[first])
+    relative = views.projections[second] @ back
     grid = jnp.geomspace(*FOCALS, GRID)
     focals = jnp.stack(jnp.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     roots = jax.vmap(lambda pair: back @ _root_of_focals(relative, pair[0], pair[1]))(focals)
-    costs = jax.vmap(lambda root: (_lens_residuals(root, (projections, seen)) ** 2).sum())(roots)
+    costs = jax.vmap(lambda root: (_lens_residuals(root, views) ** 2).sum())(roots)
     costs = jnp.where(jnp.isfinite(costs), costs, HUGE**2)
     chosen = []
     for _ in range(3):
@@ -133,29 +142,26 @@ def _root_of_focals(relative: Float[Array, "3 4"], focal_a, focal_b) -> Float[Ar
     return jnp.concatenate([jnp.diag(first), plane[None]], axis=0)
 
 
-def refine(root: Float[Array, "4 3"], projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"]):
+def refine(root: Float[Array, "4 3"], views: Views) -> tuple[Float[Array, "4 3"], Float[Array, ""]]:
     """Levenberg-Marquardt on the root; returns it with its cost (sum of squared standard deviations)."""
     root = root / jnp.maximum(jnp.linalg.norm(root), 1e-12)
     solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
-    solution = optx.least_squares(_lens_residuals, solver, root, args=(projections, seen), max_steps=64, throw=False)
-    cost = (_lens_residuals(solution.value, (projections, seen)) ** 2).sum()
+    solution = optx.least_squares(_lens_residuals, solver, root, args=views, max_steps=64, throw=False)
+    cost = (_lens_residuals(solution.value, views) ** 2).sum()
     return solution.value, jnp.where(jnp.isfinite(cost), cost, HUGE**2)
 
 
 @eqx.filter_jit
-def candidates(
-    projections: Float[Array, "C 3 4"], seen: Bool[Array, " C"], pairs: Array
-) -> tuple[Float[Array, "K 4 3"], Float[Array, " K"]]:
+def candidates(views: Views, pairs: Int[Array, "R 2"]) -> tuple[Float[Array, "K 4 3"], Float[Array, " K"]]:
     """Refined upgrade hypotheses, best first: the linear quadric and the focal grids of some reference pairs.
 
     Args:
-        projections: cameras scaled so that depths are positive.
-        seen: which cameras exist (the others are padding).
-        pairs: (R, 2) indices of reference cameras.
+        views: the cameras.
+        pairs: indices of reference cameras.
     """
-    starts = jax.lax.map(lambda pair: focal_grid(projections, seen, pair[0], pair[1]), pairs).reshape(-1, 4, 3)
-    starts = jnp.concatenate([starts, linear_quadric(projections, seen)[None]])
-    roots, costs = jax.vmap(lambda root: refine(root, projections, seen))(starts)
+    starts = jax.lax.map(lambda pair: focal_grid(views, pair[0], pair[1]), pairs).reshape(-1, 4, 3)
+    starts = jnp.concatenate([starts, linear_quadric(views)[None]])
+    roots, costs = jax.vmap(lambda root: refine(root, views))(starts)
     order = jnp.argsort(costs)
     return roots[order], costs[order]
 
@@ -173,11 +179,7 @@ class Upgraded(eqx.Module):
 
 @eqx.filter_jit
 def upgrade(
-    root: Float[Array, "4 3"],
-    projections: Float[Array, "C 3 4"],
-    points: Float[Array, "F 4"],
-    visible: Bool[Array, "F C"],
-    seen: Bool[Array, " C"],
+    root: Float[Array, "4 3"], views: Views, points: Float[Array, "F 4"], visible: Bool[Array, "F C"]
 ) -> Upgraded:
     """Apply a root: cameras K [R | t] with det R = +1, and the points in front of them (no mirror).
 
@@ -186,9 +188,9 @@ def upgrade(
     """
     infinite = jnp.linalg.svd(root.T)[2][3]
     frame = jnp.concatenate([root, infinite[:, None] * jnp.linalg.norm(root)], axis=1)
-    cameras = jnp.einsum("cij,jk->cik", projections, frame)
+    cameras = jnp.einsum("cij,jk->cik", views.projections, frame)
     cameras = cameras * jnp.sign(jnp.linalg.det(cameras[:, :, :3]))[:, None, None]
-    omega = image_of_quadric(projections, root)
+    omega = image_of_quadric(views.projections, root)
     x, y = omega[:, 0, 2], omega[:, 1, 2]
     focal = jnp.sqrt(jnp.sqrt(jnp.maximum(omega[:, 0, 0] - x**2, 1e-4) * jnp.maximum(omega[:, 1, 1] - y**2, 1e-4)))
     focal = jnp.clip(focal, *FOCALS)
@@ -199,7 +201,7 @@ def upgrade(
         [unit[:, :2] - center[:, :, None] * unit[:, 2:], focal[:, None, None] * unit[:, 2:]], axis=1
     )
     local = upper / focal[:, None, None]
-    u, _, vt = jnp.linalg.svd(jnp.where(seen[:, None, None], local[:, :, :3], jnp.eye(3)[None]))
+    u, _, vt = jnp.linalg.svd(jnp.where(views.exists[:, None, None], local[:, :, :3], jnp.eye(3)[None]))
     rotation = jnp.einsum("cij,cjk->cik", u, vt)
     world = points @ jnp.linalg.inv(frame).T
     weight = jnp.where(jnp.abs(world[:, 3]) < 1e-12, 1e-12, world[:, 3])

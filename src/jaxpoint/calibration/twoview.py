@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from jaxpoint.calibration.bundle import padded_frames
+from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
 from jaxpoint.epipolar import lens_table, robust_fundamental
 from jaxpoint.tracks import Tracks
@@ -27,9 +29,7 @@ class NormalisedTracks:
     points: np.ndarray  # (N, C, 2), still distorted
     visible: np.ndarray  # (N, C)
     half_diagonals: np.ndarray  # (C,) px
-    centers: np.ndarray  # (C, 2) px
     widths: np.ndarray  # (C,) px
-    frames: int  # the first ones are real, the rest padding
 
 
 @dataclass(frozen=True)
@@ -43,16 +43,23 @@ class TwoViewGeometry:
     votes: np.ndarray  # (N, C) fraction of an observation's pairs in which it is an inlier; 1 where it has none
 
 
-def normalised(tracks: Tracks) -> NormalisedTracks:
-    """Tracks as the projective stages want them."""
+def normalised(tracks: Tracks, intrinsics: CameraRig | None = None) -> NormalisedTracks:
+    """Tracks as the projective stages want them; with known intrinsics already undistorted, of square pixels."""
     half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
-    centers = (tracks.image_sizes - 1) / 2.0
     size = padded_frames(tracks.frames)
     points = np.zeros((size, tracks.cameras, 2))
     visible = np.zeros((size, tracks.cameras), dtype=bool)
-    points[: tracks.frames] = np.where(tracks.visible[..., None], (tracks.pixels - centers) / half[:, None], 0.0)
     visible[: tracks.frames] = tracks.visible
-    return NormalisedTracks(points, visible, half, centers, tracks.image_sizes[:, 0].astype(float), tracks.frames)
+    if intrinsics is None:
+        straight = tracks.pixels - (tracks.image_sizes - 1) / 2.0
+    else:
+        pixels, valid = intrinsics.undistort(jnp.asarray(tracks.pixels))
+        focal = np.asarray(intrinsics.cameras.focal)
+        straight = (np.asarray(pixels) - np.asarray(intrinsics.cameras.center)) * (focal[:, :1] / focal)
+        visible[: tracks.frames] &= np.asarray(valid)
+    points[: tracks.frames] = straight / half[:, None]
+    points = np.where(visible[..., None], points, 0.0)
+    return NormalisedTracks(points, visible, half, tracks.image_sizes[:, 0].astype(float))
 
 
 def two_view_geometry(

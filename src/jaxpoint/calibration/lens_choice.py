@@ -1,0 +1,56 @@
+"""Extra lens parameters are freed only where held-out error falls (SPEC 2.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxpoint.calibration.outliers import Settled, settle
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
+from jaxpoint.calibration.result import Stage
+from jaxpoint.config import CalibrateSettings
+
+LEAST_GAIN = 0.01  # of the mean held-out error
+LEAST_EVIDENCE = 2.0  # standard errors of the mean difference
+
+
+def choose_lens(
+    recording: Recording, settled: Settled, simple: Freedom, rich: Freedom, settings: CalibrateSettings
+) -> tuple[Settled, Freedom, Stage]:
+    """Settle again with p1, p2 and k3 where they predict frames held out better; otherwise leave the rig as it is."""
+    held = _held_out_frames(settled.judged.kept, settings.held_out, settings.seed)
+    if held.sum() < 10:
+        return settled, simple, Stage("Lens model", {"chosen": "k1, k2", "why": "too few frames to hold out"})
+    before, after = (_held_out_errors(recording, settled, freedom, held) for freedom in (simple, rich))
+    gain = before - after
+    evidence = gain.mean() / max(gain.std() / np.sqrt(len(gain)), 1e-12)
+    figures = {
+        "held_out_frames": int(held.sum()),
+        "held_out_mean_px_k1_k2": float(before.mean()),
+        "held_out_mean_px_with_p1_p2_k3": float(after.mean()),
+        "gain_in_standard_errors": float(evidence),
+    }
+    if gain.mean() <= LEAST_GAIN * before.mean() or evidence <= LEAST_EVIDENCE:
+        return settled, simple, Stage("Lens model", {"chosen": "k1, k2", **figures})
+    again = settle(recording, settled.judged.state, rich, settings.outliers, growing=False)
+    return again, rich, Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
+
+
+def _held_out_frames(kept: np.ndarray, share: float, seed: int) -> np.ndarray:
+    """Frames (N,) set aside: with three views or more where possible, as two views predict next to nothing."""
+    views = kept.sum(axis=1)
+    usable = np.flatnonzero(views >= 3) if (views >= 3).sum() >= 100 else np.flatnonzero(views >= 2)
+    held = np.zeros(len(kept), bool)
+    chosen = np.random.default_rng(seed).choice(usable, int(share * len(usable)), replace=False)
+    held[chosen] = True
+    return held
+
+
+def _held_out_errors(recording: Recording, settled: Settled, freedom: Freedom, held: np.ndarray) -> np.ndarray:
+    """Mean error (px) of every held-out frame, triangulated with cameras fitted without them."""
+    kept = settled.judged.kept
+    loss = 2.0 * settled.sigma_px
+    fit = adjust(recording, settled.judged.state, kept & ~held[:, None], freedom, loss_scale=loss, steps=40)
+    start = RigState(fit.state.cameras, fit.state.base, settled.judged.state.points)
+    end = adjust(recording, start, kept & held[:, None], freedom.points_only(), loss_scale=loss, steps=20)
+    errors = np.linalg.norm(project(end.state)[0] - recording.pixels, axis=-1)
+    return np.where(kept, errors, 0.0).sum(axis=1)[held] / kept.sum(axis=1)[held]

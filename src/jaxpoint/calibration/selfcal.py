@@ -1,0 +1,210 @@
+"""Self-calibration: from the tracks of a waved light to a calibrated rig (SPEC 2, thesis 5.3)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from jaxpoint.calibration.bundle import CENTER, FOCAL
+from jaxpoint.calibration.degenerate import check_geometry, check_volume
+from jaxpoint.calibration.hypotheses import Lenses, known_numbers
+from jaxpoint.calibration.initial import Inputs, Start, starts
+from jaxpoint.calibration.lens_choice import choose_lens
+from jaxpoint.calibration.outliers import Settled, settle
+from jaxpoint.calibration.pairs import check_pairs, pair_table
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
+from jaxpoint.calibration.result import Calibration, PairTable, Stage, Verdict
+from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config import CalibrateSettings
+from jaxpoint.tracks import Tracks
+
+Progress = Callable[[str, int, int], None]
+HOPELESS = 3.0  # candidates that cost this many times more than the best are not followed up
+DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is tried again from elsewhere
+
+
+def calibrate(
+    tracks: Tracks,
+    settings: CalibrateSettings | None = None,
+    *,
+    intrinsics: CameraRig | None = None,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Calibrate all cameras from the tracks of one moving light; nothing else need be known.
+
+    Two-view geometry votes on every observation and finds the lenses' distortion; initialisers compete for a first
+    solution; a robust bundle adjustment alternates with rounds that judge every observation anew. Computed in
+    float64 whatever JAX's global setting. The result has an arbitrary unit and frame until it is aligned with the
+    room (`align_to_landmarks` and its kin).
+
+    Args:
+        tracks: pixels of the light, at least 3 cameras (2 with known intrinsics).
+        settings: how; the defaults suit ordinary rooms.
+        intrinsics: cameras whose lenses are known (poses are ignored); `settings.lens.known` says whether to hold or
+            refine them.
+        progress: called as `progress(what, done, total)`.
+
+    Raises:
+        InsufficientDataError: the tracks cannot determine a calibration; the message names camera and remedy.
+        ValueError: known intrinsics of another number of cameras than the tracks have.
+    """
+    settings = settings or CalibrateSettings()
+    if intrinsics is not None and len(intrinsics) != tracks.cameras:
+        raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
+    with jax.enable_x64(True):
+        return _calibrated(tracks, settings, intrinsics, progress or _silent)
+
+
+def _silent(what: str, done: int, total: int) -> None:
+    """No progress is shown."""
+
+
+def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration:
+    clock = [time.perf_counter()]
+    pairs = pair_table(tracks)
+    check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
+    recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
+    epipolar = settings.epipolar
+    if intrinsics is not None:
+        epipolar = replace(epipolar, division_model=False)
+    geometry = two_view_geometry(
+        data, epipolar, settings.seed, lambda done, total: progress("pairs of cameras", done, total)
+    )
+    pairs = replace(pairs, inliers=geometry.inliers)
+    check_geometry(tracks, data, geometry)
+    hold = settings.lens.known == "hold"
+    distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
+    freedom = _freedom(recording, settings, distortion, intrinsics)
+    lenses = Lenses.of(data, geometry, intrinsics)
+    inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
+    progress("first solution", 0, 1)
+    candidates, stages = starts(inputs, settings.init)
+    progress("first solution", 1, 1)
+    clock.append(time.perf_counter())
+    progress("adjustment", 0, 1)
+    settled = _best_settled(inputs, candidates, settings)
+    if settings.lens.distortion == "auto" and not hold:
+        settled, freedom, stage = choose_lens(
+            recording, settled, freedom, _freedom(recording, settings, "brown", intrinsics), settings
+        )
+        stages.append(stage)
+    progress("adjustment", 1, 1)
+    clock.append(time.perf_counter())
+    seconds = {"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]}
+    stages = [_pair_stage(geometry, tracks.names), *stages, _adjustment_stage(settled)]
+    return _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed)
+
+
+def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:
+    """What may move; known intrinsics that are refined take the place of the image centre in the priors."""
+    freedom = Freedom.of(recording, settings.lens, distortion, hold=settings.lens.known == "hold")
+    if intrinsics is not None:
+        freedom.prior_mean[: recording.cameras, CENTER] = known_numbers(intrinsics)[:, CENTER.start - FOCAL :][:, :2]
+    return freedom
+
+
+def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSettings) -> Settled:
+    """Settle from the best start; where much of what the pairs believe is lost, from the others too."""
+    recording = inputs.recording
+    expected = inputs.kept.sum()
+    best = settle(recording, candidates[0].state, inputs.freedom, settings.outliers)
+    for candidate in candidates[1:]:
+        doubtful = best.judged.kept.sum() < DOUBTFUL * expected or not best.converged
+        if not doubtful or candidate.cost > HOPELESS * candidates[0].cost:
+            break
+        other = settle(recording, candidate.state, inputs.freedom, settings.outliers)
+        best = other if other.cost < best.cost else best
+    if best.judged.kept.sum() < DOUBTFUL * expected or not best.converged:
+        again = settle(recording, best.judged.state, inputs.freedom, settings.outliers)
+        best = again if again.cost < best.cost else best
+    return best
+
+
+def _pair_stage(geometry: TwoViewGeometry, names: tuple[str, ...]) -> Stage:
+    return Stage(
+        "Pairs of cameras",
+        {
+            "inliers": {
+                f"{names[i]} - {names[j]}": f"{geometry.inliers[i, j]} of {geometry.shared[i, j]}"
+                for i, j in geometry.fundamentals
+            },
+            "division_model": dict(zip(names, geometry.lenses.tolist())),
+        },
+    )
+
+
+def _adjustment_stage(settled: Settled) -> Stage:
+    kept, errors = settled.judged.kept, settled.judged.errors
+    return Stage(
+        "Adjustment",
+        {
+            "mean_px": float(errors[kept].mean()) if kept.any() else None,
+            "sigma_px": settled.sigma_px,
+            "robust_cost_px2": settled.cost,
+            "rounds": settled.rounds,
+        },
+    )
+
+
+def _calibration(tracks, recording, settled: Settled, pairs: PairTable, stages, seconds, seed) -> Calibration:
+    frames, cameras = tracks.frames, tracks.cameras
+    state = centred(settled.judged.state, settled.judged.kept, cameras)
+    pixels, _ = project(state)
+    verdicts = settled.judged.verdicts[:frames, :cameras]
+    known = (settled.judged.errors > 0)[:frames, :cameras]
+    residuals = np.where(known[..., None], pixels[:frames, :cameras] - tracks.pixels, 0.0)
+    valid = (verdicts == Verdict.KEPT).sum(axis=1) >= 2
+    check_volume(state.points[:frames][valid])
+    return Calibration(
+        rig=rig_of(state, tracks),
+        tracks=tracks,
+        points=np.where(valid[:, None], state.points[:frames], 0.0),
+        point_valid=valid,
+        residuals=residuals,
+        verdicts=verdicts,
+        sigma_px=settled.sigma_px,
+        converged=settled.converged,
+        message=_message(settled),
+        pairs=pairs,
+        stages=tuple(stages),
+        seconds=seconds,
+        seed=seed,
+    )
+
+
+def _message(settled: Settled) -> str:
+    if settled.converged:
+        return f"converged after {settled.rounds} rounds: the cost and the believed observations no longer change"
+    return f"stopped after {settled.rounds} rounds without settling"
+
+
+def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
+    """The same rig with the origin amid the light's path and the cameras 1 from their middle (root mean square)."""
+    placed = state.points[kept.sum(axis=1) >= 2]
+    middle = np.median(placed, axis=0) if len(placed) else np.zeros(3)
+    positions = state.positions[:cameras]
+    length = np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean())
+    numbers = state.cameras.copy()
+    numbers[:, 3:6] = (numbers[:, 3:6] + np.einsum("cij,j->ci", state.rotation, middle)) / length
+    return RigState(numbers, state.base, (state.points - middle) / length)
+
+
+def rig_of(state: RigState, tracks: Tracks) -> CameraRig:
+    """The solved cameras as a `CameraRig`."""
+    count = tracks.cameras
+    numbers = state.cameras[:count]
+    focal = np.exp(numbers[:, FOCAL])
+    return CameraRig.from_parameters(
+        np.stack([focal * np.exp(numbers[:, 7]), focal], axis=1),
+        numbers[:, 8:10],
+        numbers[:, 10:15],
+        state.rotation[:count],
+        numbers[:, 3:6],
+        tracks.image_sizes,
+        tracks.names,
+    )
