@@ -75,11 +75,12 @@ def test_an_image_of_another_size_is_named(tmp_path):
         find(tmp_path, min_frames=3)
 
 
-def test_a_recording_without_any_light(tmp_path, drawing):
+@pytest.mark.parametrize("method", ["robust", "thesis"])
+def test_a_recording_without_any_light(tmp_path, drawing, method):
     rng = np.random.default_rng(4)
     for frame in range(100):
         cv2.imwrite(str(tmp_path / f"{frame}.png"), drawing.image(np.zeros(drawing.size[::-1]), rng))
-    lights = find(tmp_path)
+    lights = find(tmp_path, method=method)
     assert not (lights.reasons == Reason.FOUND).any()
     assert lights.stats.found == 0
     assert lights.stats.brightness == 0
