@@ -53,17 +53,21 @@ def on_recording(
     """Too little of an image visited; a camera that shares too few frames."""
     partners = shared.copy()
     np.fill_diagonal(partners, 0)
-    for camera, name in enumerate(names):
-        order = np.argsort(-partners[camera], kind="stable")[: min(2, len(names) - 1)]
-        weak = [k for k in order if partners[camera, k] < ENOUGH_SHARED]
-        if weak:
-            pairs = " and ".join(f"{partners[camera, k]} with {names[k]}" for k in weak)
-            yield Advice(
-                f"Camera {name} shares too few frames with the others: only {pairs}.",
-                f"Wave the light longer where {name} and {names[weak[0]]} both see it; "
-                f"{ENOUGH_SHARED} frames with each of two cameras are the least.",
-                urgent=bool(partners[camera, order[0]] < MIN_FRAMES),
-            )
+    ranked = -np.sort(-partners, axis=1)[:, : min(2, len(names) - 1)]
+    told: set[int] = set()
+    for camera in np.argsort(ranked.sum(axis=1), kind="stable").tolist():
+        order = np.argsort(-partners[camera], kind="stable")[: ranked.shape[1]]
+        weak = [int(k) for k in order if partners[camera, k] < ENOUGH_SHARED]
+        if told.issuperset(weak):  # also where nothing is weak
+            continue
+        told.add(camera)
+        pairs = " and ".join(f"{partners[camera, k]} with {names[k]}" for k in weak)
+        yield Advice(
+            f"Camera {names[camera]} shares too few frames with the others: only {pairs}.",
+            f"Wave the light longer where {names[camera]} and {names[weak[0]]} both see it; "
+            f"{ENOUGH_SHARED} frames with each of two cameras are the least.",
+            urgent=bool(ranked[camera, 0] < MIN_FRAMES),
+        )
     for camera, count in enumerate(image_coverage(pixels, visible, sizes)):
         covered = float(np.mean(count > 0))
         if covered < ENOUGH_COVERAGE:
@@ -139,7 +143,7 @@ def on_borders(
         listed = ", ".join(f"{share[c]:.0%} of those of {names[c]}" for c in cameras)
         yield Advice(
             f"Many outliers lie within {BORDER:g} px of the edge of the image: {listed}.",
-            "There the light is cut off and its middle misplaced: rejecting them is right, and nothing needs to be done.",
+            "There the light is cut off and its middle misplaced: rejecting them is right, nothing needs to be done.",
         )
 
 
@@ -150,10 +154,10 @@ def on_timing(summary: Summary) -> Iterator[Advice]:
     )  # fmt: skip
     certain = np.abs(offset) > np.maximum(6 * sigma, 0.1)
     for camera in np.flatnonzero(certain):
-        late = "late" if offset[camera] > 0 else "early"
+        when = "after" if offset[camera] > 0 else "before"
         yield Advice(
-            f"The residuals of camera {summary.names[camera]} follow the light's motion: it seems "
-            f"{abs(offset[camera]):.2f} ± {sigma[camera]:.2f} frames {late}.",
+            f"The residuals of camera {summary.names[camera]} follow the light's motion: it shows it "
+            f"{abs(offset[camera]):.2f} ± {sigma[camera]:.2f} frames {when} the others.",
             "Check the synchronisation (trigger, dropped frames, clocks); a slower wave makes the error smaller.",
             urgent=bool(abs(offset[camera]) > 0.5),
         )
@@ -171,10 +175,11 @@ def on_synchrony(
     for camera, name in enumerate(names):
         partners = np.flatnonzero(sure[camera])
         shifted = [int(lag[k, camera]) for k in partners]
-        if len(shifted) > len(names) // 2 and abs(np.median(shifted)) >= 2:
+        if len(shifted) >= min(2, len(names) - 1) and np.ptp(shifted) <= 2 and abs(np.median(shifted)) >= 2:
             by = int(np.median(shifted))
+            when = "after" if by > 0 else "before"
             yield Advice(
-                f"The light in camera {name} starts and stops about {abs(by)} frames {'late' if by > 0 else 'early'}.",
+                f"Camera {name} shows the light's motion about {abs(by)} frames {when} the others.",
                 "Check the frame numbers of that camera: dropped frames or another start of the recording.",
                 urgent=True,
             )

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors, round_number, small_multiples
-from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean, mean_of_best
+from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean, mean_of_best, px
 
 _RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))  # of lengths of 2-D noise, in its standard deviations
 _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
@@ -19,7 +19,7 @@ _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
 def reprojections(summary: Summary) -> Figure:
     """Detections (rings) against reprojections (crosses), outliers in red: the thesis's figure 25."""
     titles = [
-        f"{name}: {mean(summary.errors[summary.kept[:, c], c]):.2f} px, {summary.rejected[:, c].sum()} rejected"
+        f"{name}: {px(mean(summary.errors[summary.kept[:, c], c]), 2)}, {summary.rejected[:, c].sum()} rejected"
         for c, name in enumerate(summary.names)
     ]
     figure, axes = small_multiples(titles, summary.sizes)
@@ -99,7 +99,8 @@ def over_time(summary: Summary) -> Figure:
     ax.set(ylim=(0, top * (1.06 + 0.035 * len(summary.names))), ylabel="error, px")
     ax.set_yticks([tick for tick in ax.get_yticks() if tick <= top])
     ax.set_xlabel("frame" if summary.times is None else "time, s")
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=min(len(summary.names), 8), fontsize=7.5)
+    if ax.get_legend_handles_labels()[0]:
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=8, fontsize=7.5)
     return figure
 
 
@@ -117,7 +118,7 @@ def kept_against_mean(summary: Summary) -> Figure:
     fraction, value = _thinned(*kept_curve(everything))
     ax.plot(100 * fraction, value, color=INK, lw=2.2, label="all")
     top = 1.4 * max(top, mean_of_best(everything, 0.97), 1e-3)
-    for mark in (BEST, 1.0):
+    for mark in (BEST, 1.0) if everything.size else ():
         value = mean_of_best(everything, mark)
         ax.axvline(100 * mark, color=FAINT, lw=0.8, ls="--")
         ax.plot(100 * mark, min(value, top), "o" if value <= top else "^", color=INK, ms=5, clip_on=False, zorder=4)
@@ -126,7 +127,7 @@ def kept_against_mean(summary: Summary) -> Figure:
             textcoords="offset points", ha="right", weight="bold",
         )  # fmt: skip
     ax.set(xlim=(0, 100.5), ylim=(0, top), xlabel="observations kept, best first, %", ylabel="mean error, px")
-    _legend(ax, len(summary.names) + 1, loc="upper left", columns=5)
+    _legend(ax, "upper left", columns=5)
     return figure
 
 
@@ -135,7 +136,8 @@ def _histogram(summary: Summary, ax: Axes) -> None:
     sigma = max(float(np.median(errors)) / _RAYLEIGH_MEDIAN if errors.size else 1.0, 1e-9)
     top = max(5.0 * sigma, float(np.quantile(errors, 0.995)) if errors.size else 0.0)
     edges = np.linspace(0.0, top, 50)
-    ax.hist(np.minimum(errors, top), edges.tolist(), density=True, color="#3b82d0", alpha=0.35, label="all cameras")
+    if errors.size:
+        ax.hist(np.minimum(errors, top), edges.tolist(), density=True, color="#3b82d0", alpha=0.35, label="all cameras")
     for camera, color in enumerate(camera_colors(len(summary.names))):
         mine = summary.errors[summary.kept[:, camera], camera]
         if mine.size:
@@ -166,15 +168,15 @@ def _against_radius(summary: Summary, ax: Axes) -> None:
     top = 1.1 * float(np.quantile(errors, 0.99)) if errors.size else 1.0
     ax.set(ylim=(0, top), xlim=(0, None), xlabel="distance from the principal point, px", ylabel="error, px")
     ax.set_title("Does the error grow towards the edge?")
-    _legend(ax, len(summary.names))
+    _legend(ax)
 
 
-def _legend(
-    ax: Axes, entries: int, loc: Literal["upper left", "upper right"] = "upper right", columns: int = 3
-) -> None:
-    if entries <= 8:
+def _legend(ax: Axes, loc: Literal["upper left", "upper right"] = "upper right", columns: int = 3) -> None:
+    """The legend of what was drawn: inside while it is short, else beside the axes."""
+    entries = len(ax.get_legend_handles_labels()[0])
+    if 0 < entries <= 8:
         ax.legend(loc=loc, ncols=min(entries, columns)).set_in_layout(False)
-    else:
+    elif entries:
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5)
 
 

@@ -27,8 +27,8 @@ def frusta(
     plane = (unit[None] * sizes[:, None] - 0.5 - center[:, None]) / focal[:, None]
     plane *= np.minimum(1.0, 1.0 / np.abs(plane).max(axis=(1, 2), keepdims=True))  # a fish-eye would fill the figure
     rays = np.concatenate([plane, np.ones((*plane.shape[:2], 1))], axis=2)
-    everything = np.concatenate([scene.centers, np.quantile(scene.points, [0.05, 0.95], axis=0)])
-    depth = max(_FRUSTUM[0] * scene.size, _FRUSTUM[1] * float(np.linalg.norm(np.ptp(everything, axis=0))))
+    low, high = scene.reach(0.05)
+    depth = max(_FRUSTUM[0] * scene.size, _FRUSTUM[1] * float(np.linalg.norm(high - low)))
     corners = scene.centers[:, None] + depth * np.einsum("cij,cnj->cni", scene.world_from_cam, rays)
     return np.concatenate([scene.centers[:, None], corners], axis=1)
 
@@ -42,7 +42,7 @@ def frustum_lines(cones: Float[np.ndarray, "C 5 3"]) -> Float[np.ndarray, "C 8 2
 def bounds(scene: Scene, cones: Float[np.ndarray, "C 5 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest coordinates of the cameras' fields of view and nearly all of the path (but no wild points)."""
     drawn = cones.reshape(-1, 3)
-    low, high = np.quantile(scene.points, [0.005, 0.995], axis=0) if len(scene.points) else drawn[[0, 0]]
+    low, high = scene.reach(0.005)
     low, high = np.minimum(low, drawn.min(axis=0)), np.maximum(high, drawn.max(axis=0))
     margin = 0.04 * (high - low).max()
     return low - margin, high + margin

@@ -22,7 +22,7 @@ from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figu
 from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, on_recording, on_synchrony, on_views
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
-from jaxpoint.report.summary import Scene, Summary
+from jaxpoint.report.summary import Scene, Summary, px
 from jaxpoint.report.sync import speed_lags
 from jaxpoint.report.verdict import judge_summary, judge_tracks
 from jaxpoint.tracks import Tracks
@@ -215,11 +215,11 @@ def _sections(calibration: Calibration, sheets: Sheets) -> list[tuple[str, str]]
 
 def _tiles(summary: Summary, calibration: Calibration, seconds: Mapping[str, Any]) -> list[tuple[str, str]]:
     tiles = [
-        (f"{summary.mean_px:.3f} px", "mean error, kept"),
-        (f"{summary.mean_all_px:.3f} px", "mean error, all"),
+        (px(summary.mean_px), "mean error, kept"),
+        (px(summary.mean_all_px), "mean error, all"),
         (f"{summary.kept_fraction:.1%}", f"of {int(summary.visible.sum()):,} observations kept"),
         (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.frames:,} frames used"),
-        (f"{summary.sigma_px:.2f} px", "noise of a coordinate"),
+        (px(summary.sigma_px, 2), "noise of a coordinate"),
         ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.unit == "m" else "not aligned"),
     ]
     total = seconds.get("total")
@@ -250,8 +250,8 @@ def _on_alignment(alignment: Alignment) -> Iterator[Advice]:
     worst, middle = int(np.argmax(errors)), float(np.median(errors))
     if len(errors) >= 4 and errors[worst] > 3 * middle:
         yield Advice(
-            f"The known point {alignment.names[worst]} is off by {errors[worst]:.0f} mm when it is left out of the fit; "
-            f"the median is {middle:.0f} mm.",
+            f"The known point {alignment.names[worst]} is off by {errors[worst]:.0f} mm when it is left out of the "
+            f"fit; the median is {middle:.0f} mm.",
             "Measure and click it again, or leave it out.",
         )
     if not alignment.handedness_verified:

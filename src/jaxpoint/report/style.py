@@ -58,6 +58,7 @@ _TIDY = (
     (r"(?s)<defs>\s*<style.*?</style>\s*</defs>", ""),  # a style inside inline SVG would hold for the whole page
     (r'<svg [^>]*(viewBox="0 0 ([\d.]+) [\d.]+")[^>]*>', r'<svg class="figure" style="max-width: \2pt" \1>'),
     (r'<g id="[\w.]+_\d+">', "<g>"),  # these numbers repeat from figure to figure
+    (r" xlink:href=", " href="),
     (r" font-family: [^;\"]*;", ""),
     (r' transform="rotate\(-0 [^"]*"', ""),
     (r"(\d\.\d{3})\d+", r"\1"),

@@ -28,6 +28,14 @@ class Scene:
         apart = np.linalg.norm(self.centers[:, None] - self.centers[None], axis=-1)
         return float(np.median(apart[~np.eye(len(apart), dtype=bool)]))
 
+    def reach(self, outside: float) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+        """Lowest and highest coordinates of the cameras and of the path without its `outside` extremes at each end."""
+        low, high = self.centers.min(axis=0), self.centers.max(axis=0)
+        if not len(self.points):
+            return low, high
+        ends = np.quantile(self.points, [outside, 1 - outside], axis=0)
+        return np.minimum(low, ends[0]), np.maximum(high, ends[1])
+
     def moved(self, scale: float, rotation: np.ndarray, translation: np.ndarray, unit: str) -> Scene:
         """The scene after x -> scale * rotation @ x + translation."""
         return Scene(
@@ -42,10 +50,11 @@ class Scene:
         up = -self.world_from_cam[:, :, 1].sum(axis=0)
         up /= np.linalg.norm(up)
         level = np.eye(3) - np.outer(up, up)
-        spread = level @ (np.cov(self.centers.T) + np.cov(self.points.T)) @ level
+        everything = np.concatenate([self.centers, self.points])
+        spread = level @ np.cov(everything.T) @ level
         x = np.linalg.eigh(spread)[1][:, -1]
         rotation = np.stack([x, np.cross(up, x), up])
-        return self.moved(1.0, rotation, -rotation @ np.median(self.points, axis=0), self.unit)
+        return self.moved(1.0, rotation, -rotation @ np.median(everything, axis=0), self.unit)
 
 
 @dataclass(frozen=True)
@@ -119,6 +128,11 @@ class Summary:
 def mean(values: np.ndarray) -> float:
     """Mean, NaN of nothing (without numpy's warning)."""
     return float(values.mean()) if values.size else float("nan")
+
+
+def px(value: float, digits: int = 3) -> str:
+    """A length in pixels as text; "no" where there is none."""
+    return f"{value:.{digits}f} px" if np.isfinite(value) else "no px"
 
 
 def kept_curve(errors: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:

@@ -61,13 +61,13 @@ def time_offsets(
     visible: Bool[np.ndarray, "F C"],
     frame_ids: Int[np.ndarray, " F"],
 ) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
-    """How late each camera seems to run, from residuals that follow the light's motion in the image.
+    """By how much each camera lags the others, from residuals that follow the light's motion in the image.
 
-    A camera that looks dt too late sees the light v dt further on, so projected minus observed is -v dt. The adjustment
-    shares the effect among the cameras: read the figures relative to each other.
+    A camera that shows the light dt after the others sees it v dt behind, so projected minus observed is v dt. The
+    adjustment shares the effect among the cameras: read the figures relative to each other.
 
     Returns:
-        offset: frames; positive where the camera is late.
+        offset: frames; positive where the camera shows the light's motion after the others.
         sigma: its standard error; infinite where the light never moved.
     """
     velocity, known = image_velocity(pixels, visible, frame_ids)
@@ -75,8 +75,8 @@ def time_offsets(
     v, r = np.where(use, velocity, 0.0), np.where(use, residuals, 0.0)
     square = (v**2).sum(axis=(0, 2))
     safe = np.where(square > 0, square, 1.0)
-    offset = -(v * r).sum(axis=(0, 2)) / safe
-    rest = ((r + v * offset[:, None]) ** 2 * use).sum(axis=(0, 2)) / np.maximum(2 * use.sum(axis=(0, 2)) - 1, 1)
+    offset = (v * r).sum(axis=(0, 2)) / safe
+    rest = ((r - v * offset[:, None]) ** 2 * use).sum(axis=(0, 2)) / np.maximum(2 * use.sum(axis=(0, 2)) - 1, 1)
     return offset, np.where(square > 0, np.sqrt(rest / safe), np.inf)
 
 

@@ -13,7 +13,7 @@ from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.report.advice import ENOUGH_COVERAGE, ENOUGH_SHARED, Advice
-from jaxpoint.report.summary import Summary, image_coverage, mean
+from jaxpoint.report.summary import Summary, image_coverage, mean, px
 from jaxpoint.tracks import Tracks
 
 Level = Literal["good", "care", "bad"]
@@ -55,7 +55,7 @@ def judge_summary(
     failed = [check for check in checks if check.level == "bad"]
     doubtful = [check for check in checks if check.level == "care"]
     facts = (
-        f"on average the cameras agree to {summary.mean_px:.2f} px on where the light was "
+        f"on average the cameras agree to {px(summary.mean_px, 2)} on where the light was "
         f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.visible.sum():,} "
         f"observations fit (at least {settings.min_kept:.0%})"
     )
@@ -81,10 +81,10 @@ def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettin
         ),
         Check(
             "Mean error of the observations kept",
-            f"{summary.mean_px:.3f} px",
+            px(summary.mean_px),
             f"at most {settings.max_mean_px:g} px",
             "good" if summary.mean_px <= settings.max_mean_px else "bad",
-            f"the mean error is {summary.mean_px:.2f} px (limit {settings.max_mean_px:g} px)",
+            f"the mean error is {px(summary.mean_px, 2)} (limit {settings.max_mean_px:g} px)",
         ),
         Check(
             "Observations kept",
@@ -104,7 +104,7 @@ def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
     worst, fewest = int(np.argmax(np.nan_to_num(means, nan=np.inf))), int(kept.argmin())
     limit = settings.max_mean_px
     return [
-        Check("Worst camera", f"{names[worst]}, {means[worst]:.3f} px", f"at most {limit:g} px",
+        Check("Worst camera", f"{names[worst]}, {px(means[worst])}", f"at most {limit:g} px",
               "good" if means[worst] <= limit else "care"),
         Check("Fewest kept in a camera", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
               "good" if kept[fewest] >= settings.min_kept else "care"),

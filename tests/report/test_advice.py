@@ -1,0 +1,162 @@
+"""Each piece of advice is given in the case made for it, and in no other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxpoint.report import advice as adv
+from jaxpoint.report.summary import Lens
+from jaxpoint.report.sync import image_velocity
+
+SIZES = np.array([[640, 480]] * 3)
+NAMES = ("left", "middle", "right")
+RNG = np.random.default_rng(0)
+
+
+@pytest.fixture
+def pixels():
+    return RNG.uniform(0, 1, (400, 3, 2)) * [639, 479]
+
+
+@pytest.fixture
+def visible():
+    return np.ones((400, 3), bool)
+
+
+def texts(found):
+    return [f"{item.finding} {item.remedy}" for item in found]
+
+
+def shared(visible):
+    return visible.T.astype(int) @ visible.astype(int)
+
+
+def test_a_good_calibration_needs_nothing_urgent(summary):
+    assert [item for item in adv.advise(summary) if item.urgent] == []
+
+
+def test_a_good_recording_needs_nothing(pixels, visible):
+    assert texts(adv.on_recording(NAMES, pixels, visible, SIZES, shared(visible))) == []
+    assert texts(adv.on_views(visible)) == []
+
+
+def test_a_small_part_of_the_image_is_named_with_its_side(pixels, visible):
+    pixels[:, 1, 0] = 400 + 0.3 * pixels[:, 1, 0]
+    (text,) = texts(adv.on_recording(NAMES, pixels, visible, SIZES, shared(visible)))
+    assert "middle" in text
+    assert "nothing in the left part" in text
+
+
+def test_few_shared_frames_name_the_camera_and_its_partners(pixels, visible):
+    visible[25:, 2] = False
+    (item,) = adv.on_recording(NAMES, pixels, visible, SIZES, shared(visible))
+    assert "right shares too few frames with the others: only 25 with left and 25 with middle" in item.finding
+    assert not item.urgent
+    visible[10:, 2] = False
+    assert next(adv.on_recording(NAMES, pixels, visible, SIZES, shared(visible))).urgent
+
+
+def test_frames_of_two_views_are_counted(visible):
+    visible[::2, 0] = False
+    visible[1::2, 2] = False
+    assert "0% of the usable frames" in texts(adv.on_views(visible))[0]
+
+
+def test_outliers_of_one_camera(pixels, visible):
+    rejected = np.zeros_like(visible)
+    rejected[::7, 1] = True
+    found = texts(adv.on_outliers(NAMES, SIZES, pixels, visible, rejected, np.arange(400)))
+    assert len(found) == 1
+    assert "middle has 14% of its observations rejected" in found[0]
+    rejected[::7] = True  # all cameras alike: a noisy recording, not a bad camera
+    assert texts(adv.on_outliers(NAMES, SIZES, pixels, visible, rejected, np.arange(400))) == []
+
+
+def test_outliers_at_one_place_of_the_image(pixels, visible):
+    rejected = np.zeros_like(visible)
+    rejected[::7, 1] = True
+    pixels[::7, 1] = RNG.normal([100, 60], 2, (len(pixels[::7]), 2))
+    found = texts(adv.on_outliers(NAMES, SIZES, pixels, visible, rejected, np.arange(400)))
+    assert any("near pixel (100, 60)" in text for text in found)
+
+
+def test_outliers_of_one_time(pixels, visible):
+    rejected = np.zeros_like(visible)
+    rejected[300:380, 0] = True
+    found = list(adv.on_outliers(NAMES, SIZES, pixels, visible, rejected, np.arange(1000, 1400)))
+    (item,) = [item for item in found if "almost throughout" in item.finding]
+    first, last = (int(word) for word in item.finding.rstrip(".").replace("to ", "").split()[-2:])
+    assert abs(first - 1300) < 10
+    assert abs(last - 1380) < 10
+    assert item.urgent
+
+
+def test_outliers_at_the_edge_of_the_image(pixels, visible):
+    rejected = np.zeros_like(visible)
+    rejected[::10, 2] = True
+    assert texts(adv.on_borders(NAMES, SIZES, pixels, rejected)) == []
+    pixels[::10, 2, 1] = 1.0
+    assert "100% of those of right" in texts(adv.on_borders(NAMES, SIZES, pixels, rejected))[0]
+
+
+def test_a_late_camera_is_found_and_the_others_are_not(summary):
+    velocity, _ = image_velocity(summary.pixels, summary.visible, summary.frame_ids)
+    late = np.zeros(len(summary.names))
+    late[2] = 0.8
+    moved = replace(summary, residuals=summary.residuals + late[:, None] * velocity)
+    (item,) = list(adv.on_timing(moved))
+    assert summary.names[2] in item.finding
+    assert "frames after the others" in item.finding
+    assert item.urgent
+    assert list(adv.on_timing(summary)) == []
+
+
+def test_a_light_on_a_plane(summary):
+    assert [text for text in texts(adv.on_space(summary.names, summary.scene)) if "plane" in text] == []
+    flat = replace(summary.scene, points=summary.scene.points * [1, 1, 1e-3])
+    (item, *_) = adv.on_space(summary.names, flat)
+    assert "almost on a plane" in item.finding
+    assert item.urgent
+
+
+def test_an_empty_quarter_of_the_room_names_the_nearest_camera(summary):
+    points = RNG.uniform(0, 1, (2000, 3)) * [6, 5, 2]
+    scene = replace(
+        summary.scene,
+        points=points[~((points[:, 0] > 3) & (points[:, 1] > 2.5) & (RNG.uniform(size=2000) > 0.03))],
+        centers=np.array([[0.0, 0, 2], [6, 0, 2], [6, 5, 2], [0, 5, 2]]),
+    )
+    (text,) = texts(adv.on_space(summary.names, scene))
+    assert f"nearest camera {summary.names[2]}" in text
+
+
+def test_a_lens_that_folds_within_the_image():
+    lens = Lens(
+        np.zeros((3, 2)), np.zeros((3, 2)), np.array([np.inf, 300.0, 500.0]), np.array([400.0] * 3), np.zeros(3)
+    )
+    (text,) = texts(adv.on_lenses(NAMES, lens))
+    assert "middle stops growing 300 px" in text
+
+
+def test_a_principal_point_far_off():
+    center = (SIZES - 1) / 2.0
+    assert texts(adv.on_principal_points(NAMES, SIZES, center)) == []
+    center[0] += [100, 0]
+    assert "left" in texts(adv.on_principal_points(NAMES, SIZES, center))[0]
+
+
+def test_residuals_with_a_pattern(summary):
+    assert list(adv.on_pattern(summary)) == []
+    outwards = (summary.pixels - summary.center) / 300.0
+    bent = replace(summary, residuals=summary.residuals + 0.5 * outwards * (np.arange(4) == 1)[:, None])
+    (item,) = adv.on_pattern(bent)
+    assert summary.names[1] in item.finding
+
+
+def test_whole_frames_between_cameras_are_found_from_the_tracks_alone(waves):
+    names, visible, frames = (*NAMES, "top"), np.ones((400, 4), bool), np.arange(400)
+    assert list(adv.on_synchrony(names, waves([0, 0, 0, 0]), visible, frames)) == []
+    (item,) = adv.on_synchrony(names, waves([0, 4, 0, 0]), visible, frames)
+    assert "middle" in item.finding
+    assert "4 frames after the others" in item.finding
