@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxpoint.calibration.outliers import Settled, settle
-from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Stage
 from jaxpoint.config import CalibrateSettings
 
@@ -51,6 +51,6 @@ def _held_out_errors(recording: Recording, settled: Settled, freedom: Freedom, h
     loss = 2.0 * settled.sigma_px
     fit = adjust(recording, settled.judged.state, kept & ~held[:, None], freedom, loss_scale=loss, steps=40)
     start = RigState(fit.state.cameras, fit.state.base, settled.judged.state.points)
-    end = adjust(recording, start, kept & held[:, None], freedom.points_only(), loss_scale=loss, steps=20)
-    errors = np.linalg.norm(project(end.state)[0] - recording.pixels, axis=-1)
+    placed = place_points(recording, start, kept & held[:, None], loss)
+    errors = np.linalg.norm(project(placed)[0] - recording.pixels, axis=-1)
     return np.where(kept, errors, 0.0).sum(axis=1)[held] / kept.sum(axis=1)[held]

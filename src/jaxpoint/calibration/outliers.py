@@ -12,13 +12,14 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from jaxpoint.calibration.consensus import consensus
-from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.config import OutlierSettings
 
 GROWING_PX = (30.0, 15.0, 8.0)  # readmission thresholds at an image width of 1280
 FIRST_LOSS_PX = 10.0  # Cauchy scale of the adjustments before the noise is known, likewise
 JUDGED_LOSS_PX = 3.0  # Cauchy scale with which whole hypotheses are compared, likewise
+FEW_CHANGES = 0.003  # of the kept observations: from here on every round solves exactly
 LEAST_SIGMA_PX = 0.02  # keeps the loss defined on data without noise
 
 
@@ -35,10 +36,9 @@ class Judgement:
 def judge(recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None) -> Judgement:
     """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px."""
     found = consensus(recording, state, 1.5 * threshold)
-    frozen = Freedom(np.zeros(state.cameras.shape, bool), np.zeros(state.cameras.shape), np.zeros(state.cameras.shape))
-    placed = RigState(state.cameras, state.base, found.points)
     visible = recording.visible & found.placed[:, None]
-    placed = adjust(recording, placed, visible, frozen, loss_scale=loss_scale or threshold / 2.0, steps=12).state
+    start = RigState(state.cameras, state.base, found.points)
+    placed = place_points(recording, start, visible, loss_scale or threshold / 2.0)
     pixels, depth = project(placed)
     errors = np.linalg.norm(pixels - recording.pixels, axis=-1)
     near = visible & (errors < threshold) & (depth > 0)
@@ -111,19 +111,26 @@ def settle(
         judged = judge(recording, state, GROWING_PX[-1] * scale)
     else:
         judged = judge(recording, state, GROWING_PX[-1] * scale)
+    return _until_unchanged(recording, judged, freedom, settings)
+
+
+def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings) -> Settled:
+    """Rounds at the noise level. While the set still changes the solves are rough; the last ones are exact."""
     parameters = int(freedom.free.sum())
-    settled, converged, rounds = False, False, 0
     sigma = robust_sigma(judged.errors, judged.kept, parameters)
-    while rounds < settings.max_rounds and not (settled and converged):
+    converged, rounds, exact = False, 0, False
+    while rounds < settings.max_rounds and not converged:
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
-        end = adjust(recording, judged.state, judged.kept, freedom, steps=50, rtol=1e-5, **loss)
+        rtol, steps = (1e-7, 100) if exact else (1e-4, 15)
+        end = adjust(recording, judged.state, judged.kept, freedom, steps=steps, rtol=rtol, **loss)
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
-        threshold = max(settings.sigmas * sigma, settings.floor_px)
-        again = judge(recording, end.state, threshold, 2.0 * sigma)
-        settled, converged = bool((again.kept == judged.kept).all()), end.settled
+        again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
+        changed = int((again.kept != judged.kept).sum())
+        converged = exact and changed == 0 and end.settled
+        exact = exact or changed <= FEW_CHANGES * judged.kept.sum()
         judged = again
-    return Settled(judged, sigma, robust_cost(recording, judged.state), converged and settled, rounds)
+    return Settled(judged, sigma, robust_cost(recording, judged.state), converged, rounds)
 
 
 def _errors(recording: Recording, state: RigState) -> np.ndarray:

@@ -23,7 +23,7 @@ from jaxpoint.calibration.bundle import (
     solve,
     to_blocks,
 )
-from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
 from jaxpoint.config import LensSettings
 from jaxpoint.geometry import rotation
 from jaxpoint.tracks import Tracks
@@ -147,10 +147,6 @@ class Freedom:
         """The freedom that the settings ask for."""
         return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens))
 
-    def points_only(self) -> Freedom:
-        """Nothing but the points moves."""
-        return Freedom(np.zeros_like(self.free), self.prior_mean, np.zeros_like(self.prior_weight))
-
 
 @dataclass(frozen=True)
 class Solved:
@@ -163,6 +159,7 @@ class Solved:
 
 
 SOLVER = SchurLevenbergMarquardt(BrownModel())
+POINT_STEPS = 8
 
 
 def adjust(
@@ -177,6 +174,26 @@ def adjust(
 ) -> Solved:
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()
+    problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
+    solver = SchurLevenbergMarquardt(SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
+    end = solve(solver, start, problem)
+    solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
+    return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))
+
+
+def place_points(recording: Recording, state: RigState, kept: np.ndarray, loss_scale: float) -> RigState:
+    """The best point of every frame for cameras that stay as they are, from the points given."""
+    nothing = np.zeros(state.cameras.shape)
+    problem, start = _problem(recording, state, kept, Freedom(nothing > 0, nothing, nothing), loss_scale, 0)
+    return RigState(state.cameras, state.base, from_blocks(_placed(start, problem)))
+
+
+@jax.jit
+def _placed(start: Unknowns, problem: Problem):
+    return solve_points(SOLVER.model, start, problem, POINT_STEPS)
+
+
+def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, steps) -> tuple[Problem, Unknowns]:
     problem = Problem(
         jnp.asarray(to_blocks(recording.pixels)),
         jnp.asarray(to_blocks(kept.astype(np.float64))),
@@ -187,11 +204,7 @@ def adjust(
         jnp.asarray(float(loss_scale)),
         jnp.asarray(steps),
     )
-    start = Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)))
-    solver = SchurLevenbergMarquardt(SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
-    end = solve(solver, start, problem)
-    solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
-    return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))
+    return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)))
 
 
 @jax.jit

@@ -98,6 +98,19 @@ class AbstractModel(eqx.Module):
         residual, jacobian = jax.vmap(over_points, in_axes=(0, None, 0))(state, points, pixels)
         return residual, jacobian[:, :, : self.camera_size], jacobian[:, :, self.camera_size :]
 
+    def _block_point_jacobians(self, state, points, pixels):
+        """Residuals (C, r, B) and their Jacobians for the points alone (C, r, 3, B)."""
+        zero = jnp.zeros(self.camera_size, points.dtype)
+
+        def single(state, point, pixel):
+            def value(point):
+                return self.residual(state, zero, point, pixel)
+
+            return value(point), jax.jacfwd(value)(point)
+
+        over_points = jax.vmap(single, in_axes=(None, -1, -1), out_axes=-1)
+        return jax.vmap(over_points, in_axes=(0, None, 0))(state, points, pixels)
+
 
 def _over_blocks(function, state, points, pixels):
     return jax.lax.map(lambda block: function(state, *block), (points, pixels))
@@ -220,7 +233,7 @@ def _normal(model, state, free, loss_scale, points, pixels, weights) -> _Normal:
     )
 
 
-def _inverse_3x3(matrix: Float[Array, "3 3 B"]) -> Float[Array, "3 3 B"]:
+def inverse_3x3(matrix: Float[Array, "3 3 B"]) -> Float[Array, "3 3 B"]:
     """Inverse of symmetric 3 x 3 matrices by cofactors; the identity where a point is not seen at all."""
     trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
     seen = trace > 0
@@ -247,7 +260,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
     def add(carry, block):
         diagonal, gradient, product, moved = carry
         normal = _normal(model, state, problem.free, problem.loss_scale, *block)
-        inverse = _inverse_3x3(_damped(normal.points, point_damping))
+        inverse = inverse_3x3(_damped(normal.points, point_damping))
         solved = (normal.cross[:, :, :, None] * inverse).sum(axis=2)
         left = solved.reshape(cameras * size, -1)
         right = normal.cross.reshape(cameras * size, -1)
@@ -309,7 +322,7 @@ def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
         gradient = normal.point_gradient
         if not project_points:
             gradient = gradient + (normal.cross * step[:, :, None, None]).sum(axis=(0, 1))
-        inverse = _inverse_3x3(_damped(normal.points, point_damping))
+        inverse = inverse_3x3(_damped(normal.points, point_damping))
         trial = points - (inverse * gradient[None]).sum(axis=1)
         before = _point_costs(model, ahead, problem.loss_scale, points, pixels, weights)
         after = _point_costs(model, ahead, problem.loss_scale, trial, pixels, weights)
@@ -319,3 +332,34 @@ def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
     start = _prior_cost(moved, problem)
     cost, points = jax.lax.scan(update, start, (y.points, problem.pixels, problem.weights))
     return Unknowns(moved, points), cost, reach
+
+
+def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Float[Array, "NB 3 B"]:
+    """The best points for cameras that stay as they are: every point by itself, with a damping of its own."""
+    state = model.state(y.cameras, problem.constants)
+
+    def block(_, data):
+        start, pixels, weights = data
+
+        def step(carry, _):
+            points, damping, cost = carry
+            residual, jacobian = model._block_point_jacobians(state, points, pixels)
+            weight = weights / (1.0 + (residual**2).sum(axis=1) / problem.loss_scale**2)
+            root = jnp.where(weights > 0, jnp.sqrt(weight), 0.0)[:, None]
+            seen = (weights > 0)[:, None]
+            residual = jnp.where(seen, residual, 0.0) * root
+            jacobian = jnp.where(seen[:, :, None], jacobian, 0.0) * root[:, :, None]
+            normal = (jacobian[:, :, :, None] * jacobian[:, :, None]).sum(axis=(0, 1))
+            gradient = (jacobian * residual[:, :, None]).sum(axis=(0, 1))
+            inverse = inverse_3x3(_damped(normal, damping[None, None]))
+            trial = points - (inverse * gradient[None]).sum(axis=1)
+            after = _point_costs(model, state, problem.loss_scale, trial, pixels, weights)
+            better = after < cost
+            damping = jnp.where(better, damping * 0.1, damping * 10.0)
+            return (jnp.where(better[None], trial, points), damping, jnp.where(better, after, cost)), None
+
+        cost = _point_costs(model, state, problem.loss_scale, start, pixels, weights)
+        begin = (start, jnp.full_like(cost, 1e-4), cost)
+        return None, jax.lax.scan(step, begin, None, length=steps)[0][0]
+
+    return jax.lax.scan(block, None, (y.points, problem.pixels, problem.weights))[1]

@@ -119,7 +119,7 @@ def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSe
             break
         other = settle(recording, candidate.state, inputs.freedom, settings.outliers)
         best = other if other.cost < best.cost else best
-    if best.judged.kept.sum() < DOUBTFUL * expected or not best.converged:
+    if not best.converged:
         again = settle(recording, best.judged.state, inputs.freedom, settings.outliers)
         best = again if again.cost < best.cost else best
     return best
