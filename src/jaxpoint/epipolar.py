@@ -41,7 +41,8 @@ class View(eqx.Module):
 
 def lift(points: Float[Array, "... 2"], distortion: Float[Array, "..."]) -> Float[Array, "... 3"]:
     """Homogeneous undistorted coordinates of distorted points under the division model."""
-    third = 1.0 + distortion * (points**2).sum(axis=-1)
+    square = (points**2).sum(axis=-1)
+    third = 1.0 + jnp.broadcast_to(distortion, square.shape) * square
     return jnp.concatenate([points, third[..., None]], axis=-1)
 
 
