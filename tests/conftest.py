@@ -32,9 +32,10 @@ def solved_room():
     """A small simulated room with its true calibration, as if solved, and what was measured in it."""
     room = random_room(3, cameras=4, frames=80, layout="around", visibility=0.9, outliers=0.03, noise_px=0.3)
     tracks, rig = room.tracks, room.rig
-    residuals = np.where(tracks.visible[..., None], np.asarray(rig.project(room.points)) - tracks.pixels, 0.0)
-    verdicts = np.where(room.is_outlier, Verdict.REPROJECTION, Verdict.KEPT)
     point_valid = tracks.visible.sum(axis=1) >= 2
+    judged = tracks.visible & point_valid[:, None]
+    residuals = np.where(judged[..., None], np.asarray(rig.project(room.points)) - tracks.pixels, 0.0)
+    verdicts = np.where(room.is_outlier, Verdict.REPROJECTION, Verdict.KEPT)
     verdicts = np.where(point_valid[:, None], verdicts, Verdict.FEW_VIEWS)
     verdicts = np.where(tracks.visible, verdicts, Verdict.HIDDEN)
     calibration = Calibration(

@@ -130,6 +130,18 @@ def test_a_missed_gate_keeps_the_results(tmp_path, tracks_file, solver, capsys):
     assert read_run(tmp_path / "b").metrics["converged"] is False
 
 
+def test_a_poor_alignment_is_kept_and_marked(run_folder, known_files, solved_room, capsys):
+    room = solved_room[0].room
+    wrong = room.positions + np.random.default_rng(0).normal(0.0, 0.3, room.positions.shape)
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(room.tracks.names, wrong)]
+    (known_files / "tape.csv").write_text("\n".join(["name,x_m,y_m,z_m", *lines]))
+    given = ["--camera-centres", known_files / "tape.csv", "--out", known_files / "out"]
+    code, _, err = run("align", run_folder, *given, capsys=capsys)
+    assert code == 5
+    assert "above the 50 mm allowed" in err
+    assert read_run(known_files / "out").metrics["passed"] is False
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [

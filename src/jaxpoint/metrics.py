@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.camera.distortion import Brown
-from jaxpoint.config import CalibrateSettings
+from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.errors import JaxpointError, NotConvergedError, QualityError
 
 
@@ -68,8 +68,14 @@ def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
-def judge(calibration: Calibration, settings: CalibrateSettings) -> JaxpointError | None:
-    """Why the calibration should not be trusted, or None where it passes the stated thresholds."""
+def judge(
+    calibration: Calibration, settings: CalibrateSettings, align: AlignSettings | None = None
+) -> JaxpointError | None:
+    """Why the calibration should not be trusted, or None where it passes the stated thresholds.
+
+    Args:
+        align: threshold of the alignment; the default if not given. It counts for aligned calibrations only.
+    """
     if not calibration.converged:
         return NotConvergedError(
             f"The adjustment did not converge ({calibration.message}); the results are kept and marked. Record more "
@@ -86,6 +92,12 @@ def judge(calibration: Calibration, settings: CalibrateSettings) -> JaxpointErro
         return QualityError(
             f"Only {fraction:.0%} of the observations fit, below the {settings.min_kept:.0%} asked for; the results "
             "are kept and marked. The report shows which camera or time disagrees."
+        )
+    aligned, allowed = calibration.alignment, (align or AlignSettings()).max_rms_mm
+    if aligned is not None and aligned.rms_mm > allowed:
+        return QualityError(
+            f"The alignment leaves {aligned.rms_mm:.0f} mm (rms), above the {allowed:g} mm allowed; the results are "
+            "kept and marked. The report shows which landmark disagrees."
         )
     return None
 

@@ -149,7 +149,7 @@ def write_run(
         UsageError: `out` cannot be used, see `new_run`.
     """
     figures = metrics(calibration, detect_seconds)
-    failure = judge(calibration, config.calibrate)
+    failure = judge(calibration, config.calibrate, config.align)
     figures["passed"], figures["failure"] = failure is None, None if failure is None else str(failure)
     made = provenance(command, inputs, calibration.seed)
     with new_run(out, force) as folder:

@@ -12,7 +12,6 @@ from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome
 from jaxpoint.config import RoomConfig
-from jaxpoint.errors import QualityError
 from jaxpoint.metrics import judge
 from jaxpoint.runs import write_run
 
@@ -37,18 +36,8 @@ def written(
         force=force,
     )
     report = out / "report.html"
-    failure = judge(calibration, room.calibrate) or _alignment_failure(calibration, room)
+    failure = judge(calibration, room.calibrate, room.align)
     return Outcome({**figures, "run": str(out), "report": str(report)}, _lines(calibration, figures, report), failure)
-
-
-def _alignment_failure(calibration: Calibration, room: RoomConfig) -> QualityError | None:
-    aligned = calibration.alignment
-    if aligned is None or aligned.rms_mm <= room.align.max_rms_mm:
-        return None
-    return QualityError(
-        f"The alignment leaves {aligned.rms_mm:.0f} mm (rms), above the {room.align.max_rms_mm:g} mm allowed; the "
-        "results are kept. The report shows which landmark disagrees."
-    )
 
 
 def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
