@@ -43,6 +43,23 @@ def advise(summary: Summary) -> list[Advice]:
     return sorted(found, key=lambda advice: not advice.urgent)
 
 
+def advise_on_tracks(
+    names: Sequence[str],
+    pixels: Float[np.ndarray, "F C 2"],
+    visible: Bool[np.ndarray, "F C"],
+    sizes: Int[np.ndarray, "C 2"],
+    frame_ids: Int[np.ndarray, " F"],
+) -> list[Advice]:
+    """What tracks alone say, before anything is solved; urgent things first."""
+    shared = visible.T.astype(int) @ visible.astype(int)
+    found = [
+        *on_recording(names, pixels, visible, sizes, shared),
+        *on_views(visible),
+        *on_synchrony(names, pixels, visible, frame_ids),
+    ]
+    return sorted(found, key=lambda advice: not advice.urgent)
+
+
 def on_recording(
     names: Sequence[str],
     pixels: Float[np.ndarray, "F C 2"],

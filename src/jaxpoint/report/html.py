@@ -19,7 +19,7 @@ from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing
 from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figures_tracks, tables
-from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, on_recording, on_synchrony, on_views
+from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_tracks
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
 from jaxpoint.report.summary import Scene, Summary, px
@@ -119,14 +119,7 @@ def write_tracks_report(
     Raises:
         OSError: the folder is missing or not writable.
     """
-    advice = sorted(
-        [
-            *on_recording(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes, pairs.shared),
-            *on_views(tracks.visible),
-            *on_synchrony(tracks.names, tracks.pixels, tracks.visible, tracks.frame_ids),
-        ],
-        key=lambda item: not item.urgent,
-    )
+    advice = advise_on_tracks(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
     with style():
         names = short_names(tracks.names)
         coverage = figures_lens.coverage_maps(names, tracks.pixels, tracks.visible, tracks.image_sizes)

@@ -131,8 +131,8 @@ def mean(values: np.ndarray) -> float:
 
 
 def px(value: float, digits: int = 3) -> str:
-    """A length in pixels as text; "no" where there is none."""
-    return f"{value:.{digits}f} px" if np.isfinite(value) else "no px"
+    """A length in pixels as text."""
+    return f"{value:.{digits}f} px" if np.isfinite(value) else "unknown"
 
 
 def kept_curve(errors: Float[np.ndarray, " N"]) -> tuple[np.ndarray, np.ndarray]:

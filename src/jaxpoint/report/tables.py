@@ -56,7 +56,7 @@ class Matrix:
 def fit_table(summary: Summary) -> Table:
     """One row a camera: what it saw, what was kept of it, and how well that fits."""
     header = [
-        "Camera", "Seen", "Kept", "Rejected", "Seen by it\nalone", "Mean error\nof kept", "95% of\nkept below",
+        "Camera", "Seen", "Kept", "Rejected", "Not\ncompared", "Mean error\nof kept", "95% of\nkept below",
         "Mean error\nof all",
     ]  # fmt: skip
     rows = []
