@@ -128,7 +128,7 @@ def on_outliers(
                 f"Camera {name} has {rate[camera]:.0%} of its observations rejected; the others {others:.0%}.",
                 "Look at its worst frames below: a second light, a reflection, or a camera that was moved or is out of "
                 "step.",
-                urgent=rate[camera] > 0.3,
+                urgent=bool(rate[camera] > 0.3),
             )
         place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
         if place is not None:
@@ -214,7 +214,7 @@ def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
         yield Advice(
             f"The light moved almost on a plane: its spread across is {spread[0] / spread[2]:.0%} of that along.",
             "Wave it low and high, near and far, through the whole volume.",
-            urgent=spread[0] < 0.02 * spread[2],
+            urgent=bool(spread[0] < 0.02 * spread[2]),
         )
     middle = (low + high)[:2] / 2
     right, back = (inner[:, :2] > middle).T
