@@ -13,6 +13,7 @@ from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.camera.distortion import Brown
 
 MAX_PAIRS = 128  # of a large rig, this many pairs are tried
+FIRM = 0.5  # of the threshold: two views that agree to this are no chance
 FAR = 20.0  # thresholds, beyond which an error counts no more
 
 
@@ -68,9 +69,10 @@ def _search(pixels, visible, rotation, cameras, pairs, threshold):
         count = agree.sum(axis=1)
         cost = jnp.where(visible, jnp.minimum(error, FAR * threshold), 0.0).sum(axis=1)
         cost = jnp.where(good, cost, jnp.inf)
-        old_point, old_agree, old_count, old_cost, ambiguous = best
+        old_point, old_agree, old_count, old_cost, old_firm, ambiguous = best
+        firm = (agree & (error < FIRM * threshold)).sum(axis=1) >= 2
         more, equal = count > old_count, count == old_count
-        other = equal & (count >= 2) & (agree != old_agree).any(axis=1)
+        other = equal & firm & old_firm & (agree != old_agree).any(axis=1)
         take = more | (equal & (cost < old_cost))
         ambiguous = jnp.where(more, False, ambiguous | other)
         return (
@@ -78,6 +80,7 @@ def _search(pixels, visible, rotation, cameras, pairs, threshold):
             jnp.where(take[:, None], agree, old_agree),
             jnp.where(take, count, old_count),
             jnp.where(take, cost, old_cost),
+            jnp.where(more, firm, old_firm | (equal & firm)),
             ambiguous,
         ), None
 
@@ -88,8 +91,9 @@ def _search(pixels, visible, rotation, cameras, pairs, threshold):
         jnp.zeros(frames, jnp.int64 if dtype == jnp.float64 else jnp.int32),
         jnp.full(frames, jnp.inf, dtype),
         jnp.zeros(frames, bool),
+        jnp.zeros(frames, bool),
     )
-    (points, agree, count, cost, ambiguous), _ = jax.lax.scan(attempt, start, pairs)
+    (points, agree, count, cost, _, ambiguous), _ = jax.lax.scan(attempt, start, pairs)
     return points, agree, jnp.isfinite(cost), ambiguous & (count == 2) & (visible.sum(axis=1) > 2)
 
 

@@ -245,7 +245,7 @@ def inverse_3x3(matrix: Float[Array, "3 3 B"]) -> Float[Array, "3 3 B"]:
     aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
     dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
     factor = 1.0 / ((a * aa + b * bb + c * cc) * scale)
-    return jnp.stack([jnp.stack([aa, bb, cc]), jnp.stack([bb, dd, ee]), jnp.stack([cc, ee, ff])]) * factor
+    return jnp.stack([jnp.stack([aa, bb, cc]), jnp.stack([bb, dd, ee]), jnp.stack([cc, ee, ff])]) * factor[None, None]
 
 
 def _damped(points: Float[Array, "3 3 B"], damping) -> Float[Array, "3 3 B"]:
@@ -261,7 +261,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
         diagonal, gradient, product, moved = carry
         normal = _normal(model, state, problem.free, problem.loss_scale, *block)
         inverse = inverse_3x3(_damped(normal.points, point_damping))
-        solved = (normal.cross[:, :, :, None] * inverse).sum(axis=2)
+        solved = (normal.cross[:, :, :, None] * inverse[None, None]).sum(axis=2)
         left = solved.reshape(cameras * size, -1)
         right = normal.cross.reshape(cameras * size, -1)
         product = product + left @ right.T
@@ -279,7 +279,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
     (diagonal, gradient, product, moved), _ = jax.lax.scan(add, start, blocks)
     prior = jnp.where(problem.free, problem.prior_weight, 0.0)
     gradient = gradient + prior * (y.cameras - problem.prior_mean)
-    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)
+    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)[None]
     return (diagonal, product), gradient.reshape(-1) - moved
 
 
