@@ -149,7 +149,7 @@ def test_a_principal_point_far_off():
 def test_residuals_with_a_pattern(summary):
     assert list(adv.on_pattern(summary)) == []
     outwards = (summary.pixels - summary.center) / 300.0
-    bent = replace(summary, residuals=summary.residuals + 0.5 * outwards * (np.arange(4) == 1)[:, None])
+    bent = replace(summary, residuals=summary.residuals + 1.5 * outwards * (np.arange(4) == 1)[:, None])
     (item,) = adv.on_pattern(bent)
     assert summary.names[1] in item.finding
 

@@ -256,6 +256,7 @@ def on_principal_points(
 
 def on_pattern(summary: Summary) -> Iterator[Advice]:
     """Residuals that point the same way in parts of an image: something the camera model does not describe."""
+    found = []
     for camera, name in enumerate(summary.names):
         kept = summary.kept[:, camera]
         residual = summary.residuals[kept, camera]
@@ -263,15 +264,16 @@ def on_pattern(summary: Summary) -> Iterator[Advice]:
         full = count >= 8
         if full.sum() < 8:
             continue
+        energy = float((residual**2).sum(axis=-1).mean())
         pattern = float((mean[full] ** 2).sum(axis=-1).mean())
-        noise = float((residual**2).sum(axis=-1).mean() * (1.0 / count[full]).mean())
-        if pattern > 3 * noise and pattern > 0.25**2 * float((residual**2).sum(axis=-1).mean()):
-            yield Advice(
-                f"The residuals of camera {name} have a pattern: {np.sqrt(pattern - noise):.2f} px on average over "
-                "whole parts of its image.",
-                'Its lens needs more terms (lens.distortion = "brown"), or the camera or its focus moved during the '
-                "recording.",
-            )
+        noise = energy * float((1.0 / count[full]).mean())
+        if pattern - noise > max(2 * noise, 0.25 * energy):
+            found.append(f"{np.sqrt(pattern - noise):.2f} px in {name}")
+    if found:
+        yield Advice(
+            f"The residuals point the same way over whole parts of the image: {', '.join(found)}.",
+            'A lens needs more terms (lens.distortion = "brown"), or a camera or its focus moved during the recording.',
+        )
 
 
 def _empty_side(count: np.ndarray) -> str:

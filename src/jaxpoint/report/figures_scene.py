@@ -72,7 +72,7 @@ def _solid_view(ax: Axes3D, scene: Scene, names: tuple[str, ...], cones: np.ndar
         ax.text(x, y, z + lift, name, color=INK, weight="bold", fontsize=8, ha="center")
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     ax.set(xlabel=_label("x", scene), ylabel=_label("y", scene), zlabel=_label("z", scene))
-    ax.set_box_aspect(tuple(high - low))
+    ax.set_box_aspect(tuple(high - low), zoom=0.88)  # pyright: ignore[reportArgumentType]
     ax.view_init(elev=24, azim=-62)
     for axis in cast(list[Axis3D], [ax.xaxis, ax.yaxis, ax.zaxis]):
         axis.set_pane_color((0.5, 0.55, 0.6, 0.06))

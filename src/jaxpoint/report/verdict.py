@@ -74,7 +74,7 @@ def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettin
     return [
         Check(
             "Solver",
-            f"{'converged' if calibration.converged else 'not converged'} ({calibration.message})",
+            calibration.message if calibration.converged else f"not converged: {calibration.message}",
             "converged",
             "good" if calibration.converged else "bad",
             f"the solver did not converge ({calibration.message})",
