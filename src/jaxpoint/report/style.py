@@ -24,7 +24,6 @@ from PIL import Image
 INK = "#10202f"
 FAINT = "#90a0af"
 BAD = "#d6455d"
-GOOD = "#2e9e6b"
 SEQUENTIAL = colors.LinearSegmentedColormap.from_list("light_blue", ["#2f7fd100", "#2f7fd1"])
 _HUES = ("#3b82d0", "#e08214", "#2aa36b", "#c4509b", "#8b6fd8", "#b59410", "#1aa5b8", "#d4574a")
 _RASTER_DPI = 144

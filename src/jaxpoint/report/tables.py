@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ class Matrix:
 
     names: Sequence[str]
     rows: list[list[Cell]]
-    inliers: bool = field(default=False)
+    inliers: bool = False
 
 
 def fit_table(summary: Summary) -> Table:
