@@ -193,6 +193,7 @@ def test_a_landmark_measured_wrongly_is_named():
         (ROOM_POINTS[:3] * np.nan, ROOM_POINTS[:3], ValueError, r"'a' is \[nan, nan, nan\]"),
     ],
 )
+@pytest.mark.usefixtures("any_shape")
 def test_what_cannot_be_aligned(points, landmarks, error, message):
     with pytest.raises(error, match=message):
         align_to_landmarks(points, landmarks, names=list("abcdef")[: len(points)])

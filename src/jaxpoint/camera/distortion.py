@@ -7,7 +7,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 
@@ -128,7 +128,7 @@ def _least_slope(coefficients: Float[Array, "5"], r2: Array) -> Array:
 def _monotone_r2(coefficients: Float[Array, "5"]) -> Float[Array, ""]:
     """Squared ideal radius up to which the distorted radius grows, by halving; at most `_MAX_R2`."""
 
-    def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
+    def halve(_: Int[Array, ""], bounds: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bounds
         middle = jnp.sqrt(low * high)
         grows = _least_slope(coefficients, middle) > 0
@@ -150,7 +150,7 @@ def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]
     # The radial part is nearly right already: a step far longer than tangential distortion is a wrong one.
     longest = 0.2 * (radius + 0.1)
 
-    def step(_: int, place: Float[Array, "2 *batch"]) -> Float[Array, "2 *batch"]:
+    def step(_: Int[Array, ""], place: Float[Array, "2 *batch"]) -> Float[Array, "2 *batch"]:
         x, y = place
         gx, gy = _distort(coefficients, x, y)
         dx, dy = _solve(_jacobian(coefficients, x, y), aim[0] - gx, aim[1] - gy)
@@ -165,7 +165,7 @@ def _undistort_radius(coefficients: Float[Array, "5"], distorted: Float[Array, "
     k1, k2, _, _, k3 = coefficients
     reach = jnp.sqrt(_monotone_r2(coefficients))
 
-    def step(_: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+    def step(_: Int[Array, ""], state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         radius, low, high = state
         r2 = radius * radius
         excess = radius * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) - distorted
