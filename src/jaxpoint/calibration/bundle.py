@@ -90,7 +90,7 @@ def to_blocks(values: np.ndarray, block: int = BLOCK) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(split, 1, -1))
 
 
-def from_blocks(values: np.ndarray) -> np.ndarray:
+def from_blocks(values: Array | np.ndarray) -> np.ndarray:
     """(NB, ..., B) to (F, ...)."""
     values = np.moveaxis(np.asarray(values), -1, 1)
     return values.reshape(-1, *values.shape[2:])
