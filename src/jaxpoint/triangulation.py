@@ -34,9 +34,9 @@ class Flag(IntFlag):
     """What is wrong with a triangulated point."""
 
     BEHIND = 1  # it lies behind a camera that sees it
-    LOW_PARALLAX = 2  # no two rays differ by 2 degrees: its distance is hardly determined
+    LOW_PARALLAX = 2  # all lines of sight are within 2 degrees of parallel: its distance is hardly determined
     FEW_VIEWS = 4  # fewer than two usable views: there is no point
-    LENS_RANGE = 8  # a visible pixel lies where the lens model has no ray; that view was not used
+    LENS_RANGE = 8  # a visible pixel is NaN or lies where the lens model has no ray; that view was not used
 
 
 class Triangulation(eqx.Module):
@@ -46,7 +46,7 @@ class Triangulation(eqx.Module):
     covariance: Float[Array, "*batch 3 3"]  # m^2; infinite on the diagonal with fewer than two views
     residuals: Float[Array, "*batch C 2"]  # px, projected minus observed; 0 for views not used
     rms: Float[Array, "*batch"]  # px, of the residuals' lengths over the views used
-    parallax: Float[Array, "*batch"]  # rad, largest angle between two rays
+    parallax: Float[Array, "*batch"]  # rad, largest angle between two lines of sight, 0 to pi / 2
     flags: Int[Array, "*batch"]  # sum of `Flag`s
 
     @property
@@ -156,9 +156,10 @@ def _triangulate_block(
     steps: int,
 ) -> Triangulation:
     """One block; the fields of the result have the points on the first axis again."""
-    pixels = jnp.where(visible[None], pixels, 0.0)
+    finite = jnp.all(jnp.isfinite(pixels), axis=0)
+    pixels = jnp.where((visible & finite)[None], pixels, 0.0)
     ideal, in_range = _ideal(cameras, pixels)
-    used = visible & in_range
+    used = visible & finite & in_range
     views = jnp.sum(used, axis=0)
     enough = views >= 2
     used = used & enough[None]
@@ -172,12 +173,12 @@ def _triangulate_block(
     if camera_covariance is not None:
         covariance = covariance + _from_cameras(cameras, seen, points, inverse, camera_covariance)
     unknown = jnp.where(jnp.eye(3, dtype=bool), jnp.inf, 0.0).astype(covariance.dtype)
-    parallax = _parallax(cameras, seen, points)
+    parallax = _parallax(cameras, seen)
     flags = (
         Flag.BEHIND * (fit.behind > 0)
         + Flag.LOW_PARALLAX * (enough & (parallax < MIN_PARALLAX))
         + Flag.FEW_VIEWS * ~enough
-        + Flag.LENS_RANGE * jnp.any(visible & ~in_range, axis=0)
+        + Flag.LENS_RANGE * jnp.any(visible & ~(finite & in_range), axis=0)
     )
     return Triangulation(
         points=jnp.stack([jnp.where(enough, points[i] + origin[i], 0.0) for i in range(3)], axis=-1),
@@ -212,22 +213,25 @@ class Fit(NamedTuple):
 def _optimum(cameras: Camera, seen: Seen, steps: int) -> Vector:
     """The points of least squared pixel error: the linear start, then Levenberg-Marquardt."""
 
-    def step(_: int, state: tuple[Vector, Fit, Array]) -> tuple[Vector, Fit, Array]:
-        points, fit, damping = state
+    def step(_: Int[Array, ""], state: tuple[Vector, Vector, Fit, Array]) -> tuple[Vector, Vector, Fit, Array]:
+        trial, points, fit, damping = state
+        trial_fit = _fit(cameras, seen, trial)
+        # A step may bring a point before a camera at any cost, and never behind one. Costs equal to rounding count as
+        # less: the last steps of a converging point would else be left out.
+        less = trial_fit.cost <= fit.cost * (1 + 16 * jnp.finfo(damping.dtype).eps)
+        better = (trial_fit.behind < fit.behind) | ((trial_fit.behind == fit.behind) & less)
+        damping = jnp.where(better, damping * 0.1, jnp.maximum(damping, 1e-4) * 30)
+        points, fit = jax.tree.map(partial(jnp.where, better), (trial, trial_fit), (points, fit))
         xx, xy, xz, yy, yz, zz = fit.normal
         more = 1 + damping
         move = _times(_inverse((xx * more, xy, xz, yy * more, yz, zz * more)), fit.gradient)
-        trial = tuple(old - by for old, by in zip(points, move, strict=True))
-        trial_fit = _fit(cameras, seen, trial)
-        # A step may bring a point before a camera at any cost, and never behind one.
-        better = (trial_fit.behind < fit.behind) | ((trial_fit.behind == fit.behind) & (trial_fit.cost < fit.cost))
-        damping = jnp.where(better, damping * 0.1, jnp.maximum(damping, 1e-4) * 30)
-        kept = jax.tree.map(partial(jnp.where, better), (trial, trial_fit), (points, fit))
-        return *kept, damping
+        return tuple(old - by for old, by in zip(points, move, strict=True)), points, fit, damping
 
     start = _linear(cameras, seen)
-    state = start, _fit(cameras, seen, start), jnp.full_like(start[0], _DAMPING)
-    return jax.lax.fori_loop(0, steps, step, state)[0]
+    nothing, infinite = jnp.zeros_like(start[0]), jnp.full_like(start[0], jnp.inf)
+    unknown = Fit(infinite, infinite, (nothing,) * 3, (nothing,) * 6)
+    state = start, start, unknown, jnp.full_like(nothing, 10 * _DAMPING)
+    return jax.lax.fori_loop(0, steps + 1, step, state)[1]
 
 
 @_optimum.defjvp
@@ -237,15 +241,13 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, V
     points = _optimum(cameras, seen, steps)
 
     def gradient(points: Vector, cameras: Camera, pixels: tuple[Array, Array]) -> Vector:
-        return jax.grad(lambda x: jnp.sum(_fit(cameras, seen._replace(pixel_x=pixels[0], pixel_y=pixels[1]), x).cost))(
-            points
-        )
+        at = seen._replace(pixel_x=pixels[0], pixel_y=pixels[1])
+        return jax.grad(lambda x: jnp.sum(_residuals(cameras, at, x) ** 2))(points)
 
     pixels, pixels_by = seen[:2], tangents[1][:2]
     _, change = jax.jvp(lambda c, p: gradient(points, c, p), (cameras, pixels), (tangents[0], pixels_by))
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (
-        jax.jvp(lambda x: gradient(x, cameras, pixels), (points,), (axis,))[1] for axis in _axes(points[0])
-    )
+    _, hessian = jax.linearize(lambda x: gradient(x, cameras, pixels), points)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (hessian(axis) for axis in _axes(points[0]))
     moved = _times(_inverse((xx, xy, xz, yy, yz, zz)), change)
     known = jnp.any(seen.used, axis=0)
     return points, tuple(jnp.where(known, -by, 0.0) for by in moved)
@@ -331,20 +333,21 @@ def _linearised(camera: Camera, points: Vector) -> tuple[Array, Array, list[Arra
     return x, y, x_by, y_by, depth
 
 
-def _parallax(cameras: Camera, seen: Seen, points: Vector) -> Float[Array, " B"]:
-    """Largest angle between two rays, from the largest chord between their directions: exact where it is small."""
-    positions = jax.vmap(lambda camera: camera.position)(cameras)
-    rays = [points[i][None] - positions[:, i, None] for i in range(3)]
-    length = _safe_sqrt(rays[0] ** 2 + rays[1] ** 2 + rays[2] ** 2)
-    rays = tuple(ray / jnp.where(length > 0, length, 1.0) for ray in rays)
+def _parallax(cameras: Camera, seen: Seen) -> Float[Array, " B"]:
+    """Largest angle between the lines of sight, from the chord between their directions: exact where it is small."""
+    r = cameras.cam_from_world.rotation
+    rays = [seen.ideal_x * r[:, 0, i, None] + seen.ideal_y * r[:, 1, i, None] + r[:, 2, i, None] for i in range(3)]
+    length = jnp.sqrt(rays[0] ** 2 + rays[1] ** 2 + rays[2] ** 2)
+    rays = tuple(ray / length for ray in rays)
 
     def widen(widest: Array, view: tuple[Vector, Array]) -> tuple[Array, None]:
         other, used = view
-        chord2 = sum((a - b[None]) ** 2 for a, b in zip(rays, other, strict=True))
-        return jnp.maximum(widest, jnp.max(jnp.where(seen.used & used[None], chord2, 0.0), axis=0)), None
+        apart, summed = (sum((a + sign * b[None]) ** 2 for a, b in zip(rays, other, strict=True)) for sign in (-1, 1))
+        chord2 = jnp.where(seen.used & used[None], jnp.minimum(apart, summed), 0.0)
+        return jnp.maximum(widest, jnp.max(chord2, axis=0)), None
 
-    widest, _ = jax.lax.scan(widen, jnp.zeros_like(points[0]), (rays, seen.used))
-    return 2 * jnp.arcsin(jnp.minimum(_safe_sqrt(widest) / 2, 1.0))
+    widest, _ = jax.lax.scan(widen, jnp.zeros_like(rays[0][0]), (rays, seen.used))
+    return 2 * jnp.arcsin(_safe_sqrt(widest) / 2)
 
 
 def _from_cameras(

@@ -91,7 +91,7 @@ def test_fit_plane_finds_the_plane_and_its_residual():
 
 
 def test_fit_plane_hides_by_weight_and_has_derivatives_for_a_square():
-    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0.0], [1, -1, 0.0]]) + [0, 0, 3]
+    square = np.array([[1.0, 1, 0], [-1, 1, 0], [-1, -1, 0.0], [1, -1, 0.0]]) + np.array([0, 0, 3])
     wild = np.concatenate([square, [[100.0, 50, 70]]])
     plane, residual = FIT(wild, np.array([1.0, 1, 1, 1, 0]))
     assert abs(plane.normal[2]) == pytest.approx(1)

@@ -1,0 +1,316 @@
+"""Triangulation against the truth, OpenCV, scipy, Monte Carlo and finite differences."""
+
+import cv2
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.geometry.pose import Similarity
+from jaxpoint.triangulation import Flag, Triangulation, triangulate
+
+CAMERAS, FRAMES = 5, 64
+RNG = np.random.default_rng(0)
+
+
+def ring_of_cameras(distorted=True):
+    """Five cameras around a room, 2.5 m up, looking at its middle."""
+    rng = np.random.default_rng(1)
+    angle = 2 * np.pi * np.arange(CAMERAS) / CAMERAS
+    position = np.stack([4 * np.cos(angle), 4 * np.sin(angle), np.full(CAMERAS, 2.5)], axis=1)
+    forward = np.array([0, 0, 1.0]) - position
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(forward, [0, 0, 1.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    lens = rng.normal(size=(CAMERAS, 5)) * [0.05, 0.01, 1e-3, 1e-3, 1e-3] - [0.2, 0, 0, 0, 0]
+    return CameraRig.from_parameters(
+        rng.uniform(700, 1000, (CAMERAS, 2)),
+        rng.uniform(-20, 20, (CAMERAS, 2)) + np.array([640, 360]),
+        lens * distorted,
+        rotation,
+        -np.einsum("cij,cj->ci", rotation, position),
+        np.tile([1280, 720], (CAMERAS, 1)),
+    )
+
+
+RIG = ring_of_cameras()
+POINTS = RNG.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 1.8], (FRAMES, 3))
+PIXELS = np.asarray(RIG.project(POINTS))
+VISIBLE = RNG.random((FRAMES, CAMERAS)) < 0.7
+VISIBLE[:, :2] |= VISIBLE.sum(axis=1, keepdims=True) < 2
+NOISY = PIXELS + RNG.normal(size=PIXELS.shape)
+
+
+def assert_same(one: Triangulation, other: Triangulation, atol=1e-6):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(a, b, atol=atol, rtol=1e-7)
+
+
+def test_exact_without_noise():
+    result = triangulate(RIG, PIXELS, VISIBLE)
+    np.testing.assert_allclose(result.points, POINTS, atol=1e-9)
+    assert np.asarray(result.valid).all()
+    assert float(result.rms.max()) < 1e-9
+    np.testing.assert_allclose(result.residuals, 0, atol=1e-9)
+
+
+def test_opencv_agrees_on_two_views():
+    rig = ring_of_cameras(distorted=False)
+    pixels = np.asarray(rig.project(POINTS))
+    first, second = np.asarray(rig.matrices)[:2]
+    theirs = cv2.triangulatePoints(first, second, pixels[:, 0].T, pixels[:, 1].T)
+    theirs = (theirs[:3] / theirs[3]).T
+    visible = np.zeros((FRAMES, CAMERAS), dtype=bool)
+    visible[:, :2] = True
+    linear = triangulate(rig, pixels, visible, refine_steps=0)
+    np.testing.assert_allclose(linear.points, theirs, atol=1e-9)
+
+
+def test_least_pixel_error_is_scipys():
+    result = triangulate(RIG, NOISY, VISIBLE)
+    for frame in range(6):
+        used = VISIBLE[frame]
+        best = least_squares(
+            lambda x, frame=frame, used=used: (np.asarray(RIG.project(x)) - NOISY[frame])[used].ravel(),
+            POINTS[frame],
+            xtol=1e-14,
+            ftol=1e-14,
+            gtol=1e-14,
+        )
+        np.testing.assert_allclose(result.points[frame], best.x, atol=1e-7)
+        assert float(result.rms[frame]) == pytest.approx(np.sqrt(2 * best.cost / used.sum()), rel=1e-9)
+    projected = np.asarray(RIG.project(result.points))
+    np.testing.assert_allclose(result.residuals, np.where(VISIBLE[..., None], projected - NOISY, 0), atol=1e-9)
+
+
+def empirical_over_predicted(samples, predicted):
+    """Eigenvalues of the sample covariance in units of the predicted one; all 1 where they agree."""
+    factor = np.linalg.inv(np.linalg.cholesky(predicted))
+    return np.linalg.eigvalsh(factor @ np.cov(np.asarray(samples).T) @ factor.T)
+
+
+def test_covariance_is_that_of_many_noisy_recordings():
+    draws, sigma = 4096, 0.8
+    for frame in range(3):
+        noisy = PIXELS[frame] + RNG.normal(size=(draws, CAMERAS, 2)) * sigma
+        visible = np.tile(VISIBLE[frame], (draws, 1))
+        samples = triangulate(RIG, noisy, visible, sigma_px=sigma)
+        ratios = empirical_over_predicted(samples.points, samples.covariance[0])
+        np.testing.assert_allclose(ratios, 1, atol=0.1)
+        offset = np.asarray(samples.points) - POINTS[frame]
+        distance = np.einsum("ni,nij,nj->n", offset, np.linalg.inv(samples.covariance), offset)
+        assert distance.mean() == pytest.approx(3, abs=0.2)  # chi-square of three degrees of freedom
+
+
+def test_covariance_of_the_cameras_is_added():
+    sigma = np.tile([1e-3] * 3 + [3e-3] * 3 + [2.0] * 4 + [2e-3, 1e-3, 2e-4, 2e-4, 1e-4], CAMERAS)
+    mixing = np.eye(len(sigma)) + 0.3 * np.random.default_rng(3).normal(size=(len(sigma),) * 2) / 3
+    factor = sigma[:, None] * mixing
+    covariance = factor @ factor.T
+    changes = RNG.normal(size=(2048, len(sigma))) @ factor.T
+    frame = 2
+
+    @jax.jit
+    @jax.vmap
+    def with_wrong_cameras(change):
+        cameras = jax.vmap(Camera.perturbed)(RIG.cameras, change.reshape(CAMERAS, 15))
+        rig = eqx.tree_at(lambda rig: rig.cameras, RIG, cameras)
+        return triangulate(rig, PIXELS[frame], VISIBLE[frame]).points
+
+    samples = with_wrong_cameras(changes)
+    result = triangulate(RIG, PIXELS[frame], VISIBLE[frame], sigma_px=0.5, camera_covariance=covariance)
+    without = triangulate(RIG, PIXELS[frame], VISIBLE[frame], sigma_px=0.5)
+    from_cameras = np.asarray(result.covariance - without.covariance)
+    np.testing.assert_allclose(empirical_over_predicted(samples, from_cameras), 1, atol=0.12)
+
+
+def test_covariance_scales_with_the_noise():
+    one, two = (triangulate(RIG, NOISY, VISIBLE, sigma_px=s) for s in (1.0, 2.0))
+    np.testing.assert_allclose(two.covariance, 4 * one.covariance, rtol=1e-12)
+
+
+def test_hidden_pixels_never_matter():
+    wild = np.where(VISIBLE[..., None], NOISY, np.nan)
+    assert_same(triangulate(RIG, wild, VISIBLE), triangulate(RIG, NOISY, VISIBLE), atol=0)
+    wild = np.where(VISIBLE[..., None], NOISY, 1e12)
+    assert_same(triangulate(RIG, wild, VISIBLE), triangulate(RIG, NOISY, VISIBLE), atol=0)
+
+
+def test_camera_order_never_matters():
+    order = [3, 0, 4, 1, 2]
+    turned = triangulate(RIG.select(order), NOISY[:, order], VISIBLE[:, order])
+    result = triangulate(RIG, NOISY, VISIBLE)
+    result = eqx.tree_at(lambda t: t.residuals, result, result.residuals[:, jnp.array(order)])
+    assert_same(turned, result)
+
+
+def test_a_similarity_of_the_world_moves_the_points_with_it():
+    similarity = Similarity(np.float64(0.01), Rotation.from_rotvec([1.0, 0.2, -2]).as_matrix(), [5e4, -3e4, 100.0])
+    moved = triangulate(RIG.transformed(similarity), NOISY, VISIBLE)
+    result = triangulate(RIG, NOISY, VISIBLE)
+    np.testing.assert_allclose(moved.points, similarity @ result.points, atol=1e-9)
+    np.testing.assert_allclose(moved.rms, result.rms, atol=1e-6)
+    turned = 1e-4 * np.asarray(similarity.rotation @ result.covariance @ similarity.rotation.T)
+    np.testing.assert_allclose(moved.covariance, turned, rtol=1e-5, atol=1e-6 * abs(turned).max())
+
+
+def two_cameras(baseline):
+    """Two cameras side by side that look along z; no distortion."""
+    return CameraRig.from_parameters(
+        np.full((2, 2), 800.0),
+        np.full((2, 2), 500.0),
+        np.zeros((2, 5)),
+        np.tile(np.eye(3), (2, 1, 1)),
+        np.array([[0.0, 0, 0], [-baseline, 0, 0]]),
+        np.full((2, 2), 1000),
+    )
+
+
+BOTH = np.ones(2, dtype=bool)
+
+
+def test_a_point_between_two_cameras_has_low_parallax():
+    half_turn = np.diag([-1.0, 1, -1])
+    rig = two_cameras(1.0)
+    poses = np.stack([np.eye(3), half_turn]), np.array([[0.0, 0, 0], [0, 0, 6]])
+    rig = CameraRig.from_parameters(
+        rig.cameras.focal, rig.cameras.center, np.zeros((2, 5)), *poses, rig.image_sizes, rig.names
+    )
+    result = triangulate(rig, rig.project(np.array([0.02, 0, 3.0])), BOTH)
+    assert int(result.flags) == Flag.LOW_PARALLAX
+    assert np.rad2deg(result.parallax) == pytest.approx(2 * np.rad2deg(np.arctan(0.02 / 3)), abs=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0.5, 1.99, 2.01, 30.0])
+def test_low_parallax(angle_deg):
+    baseline = 2 * 5 * np.tan(np.deg2rad(angle_deg) / 2)
+    point = np.array([baseline / 2, 0, 5])
+    rig = two_cameras(baseline)
+    result = triangulate(rig, rig.project(point), BOTH)
+    assert np.rad2deg(result.parallax) == pytest.approx(angle_deg, abs=1e-6)
+    assert int(result.flags) == (Flag.LOW_PARALLAX if angle_deg < 2 else 0)
+    assert bool(result.valid) is (angle_deg > 2)
+    np.testing.assert_allclose(result.points, point, atol=1e-8)
+
+
+def test_behind():
+    rig = two_cameras(1.0)
+    point = np.array([0.4, 0.2, -3.0])
+    result = triangulate(rig, rig.project(point), BOTH)
+    assert int(result.flags) == Flag.BEHIND
+    assert not bool(result.valid)
+    np.testing.assert_allclose(result.points, point, atol=1e-9)
+
+
+def test_parallel_rays_stay_finite():
+    result = triangulate(two_cameras(1.0), np.full((2, 2), 500.0), BOTH)
+    assert int(result.flags) & Flag.LOW_PARALLAX
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(result))
+
+
+@pytest.mark.parametrize("views", [[], [1]])
+def test_few_views(views):
+    visible = np.isin(np.arange(CAMERAS), views)
+    result = triangulate(RIG, PIXELS[0], visible)
+    assert int(result.flags) == Flag.FEW_VIEWS
+    np.testing.assert_array_equal(result.points, 0)
+    np.testing.assert_array_equal(result.residuals, 0)
+    np.testing.assert_array_equal(result.covariance, np.where(np.eye(3, dtype=bool), np.inf, 0))
+
+
+def test_a_pixel_beyond_the_lens_is_not_used():
+    pixels = PIXELS[0].copy()
+    pixels[2] = 30_000.0
+    result = triangulate(RIG, pixels, np.ones(CAMERAS, dtype=bool))
+    assert int(result.flags) == Flag.LENS_RANGE
+    assert bool(result.valid)
+    np.testing.assert_allclose(result.points, POINTS[0], atol=1e-9)
+    np.testing.assert_array_equal(result.residuals[2], 0)
+    pixels[2] = np.nan
+    assert int(triangulate(RIG, pixels, np.ones(CAMERAS, dtype=bool)).flags) == Flag.LENS_RANGE
+
+
+def test_batches_blocks_and_transformations_agree():
+    result = triangulate(RIG, NOISY, VISIBLE)
+    folded = triangulate(RIG, NOISY.reshape(4, 16, CAMERAS, 2), VISIBLE.reshape(4, 16, CAMERAS))
+    assert folded.covariance.shape == (4, 16, 3, 3)
+    assert_same(jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), folded), result, atol=0)
+    assert_same(triangulate(RIG, NOISY[7], VISIBLE[7]), jax.tree.map(lambda leaf: leaf[7], result))
+    many = triangulate(RIG, np.tile(NOISY, (20, 1, 1)), np.tile(VISIBLE, (20, 1)))
+    assert_same(many, jax.tree.map(lambda leaf: np.tile(leaf, (20, *[1] * (leaf.ndim - 1))), result))
+    mapped = jax.jit(jax.vmap(lambda p, v: triangulate(RIG, p, v)))(NOISY, VISIBLE)
+    assert_same(mapped, result)
+    empty = triangulate(RIG, NOISY[:0], VISIBLE[:0])
+    assert empty.points.shape == (0, 3)
+    assert empty.residuals.shape == (0, CAMERAS, 2)
+
+
+def nearly_all(result):
+    finite = jnp.where(jnp.isfinite(result.covariance), result.covariance, 0.0)
+    return sum(jnp.sum(part) for part in (result.points, finite, result.residuals, result.rms, result.parallax))
+
+
+def test_gradients_are_finite_where_nothing_is_known():
+    visible = VISIBLE.copy()
+    visible[0], visible[1] = False, np.arange(CAMERAS) == 3
+    pixels = np.where(visible[..., None], NOISY, np.nan)
+    pixels[2] = PIXELS[2]  # a perfect fit: rms 0
+    pixels[3, 0], visible[3] = 1e5, True
+
+    @jax.jit
+    def gradients(cameras, pixels):
+        rig = eqx.tree_at(lambda rig: rig.cameras, RIG, cameras)
+        return jax.grad(lambda r, p: nearly_all(triangulate(r, p, visible)), argnums=(0, 1), allow_int=True)(
+            rig, pixels
+        )
+
+    by_rig, by_pixels = gradients(RIG.cameras, pixels)
+    assert np.isfinite(by_pixels).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(by_rig.cameras))
+    np.testing.assert_array_equal(np.asarray(by_pixels)[~visible], 0)
+    np.testing.assert_array_equal(np.asarray(by_pixels)[:2], 0)
+    assert np.abs(np.asarray(by_pixels)[2:]).max() > 0
+
+
+def test_derivatives_by_pixels_and_cameras():
+    pixels, visible = NOISY[:2] + 3 * RNG.normal(size=(2, CAMERAS, 2)), VISIBLE[:2]  # large residuals: full Hessian
+
+    @jax.jit
+    def points(changes):
+        cameras = jax.vmap(Camera.perturbed)(RIG.cameras, changes[0])
+        rig = eqx.tree_at(lambda rig: rig.cameras, RIG, cameras)
+        return triangulate(rig, pixels + changes[1], visible, refine_steps=15).points
+
+    scale = np.array([1e-3] * 6 + [1.0] * 4 + [1e-3] * 5)
+    direction = RNG.normal(size=(CAMERAS, 15)) * scale, RNG.normal(size=(2, CAMERAS, 2))
+    zero = jax.tree.map(np.zeros_like, direction)
+    step = 1e-3
+    ahead, back = (points(jax.tree.map(lambda d, s=sign: s * step * d, direction)) for sign in (1, -1))
+    numeric = (ahead - back) / (2 * step)
+    weight = RNG.normal(size=(2, 3))
+    backward = jax.jit(jax.grad(lambda c: jnp.sum(weight * points(c))))(zero)
+    along = sum(float(np.sum(b * d)) for b, d in zip(backward, direction, strict=True))
+    assert along == pytest.approx(float(np.sum(weight * np.asarray(numeric))), rel=1e-5)
+
+
+def test_float32_is_kept():
+    cameras = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), RIG.cameras)
+    rig = CameraRig(cameras, RIG.image_sizes, RIG.names)
+    result = triangulate(rig, PIXELS.astype(np.float32), VISIBLE)
+    assert result.points.dtype == result.covariance.dtype == jnp.float32
+    np.testing.assert_allclose(result.points, POINTS, atol=2e-5)
+
+
+def test_bad_input_is_named():
+    with pytest.raises(ValueError, match=r"\(\.\.\., 5, 2\)"):
+        triangulate(RIG, PIXELS[:, :4], VISIBLE)
+    with pytest.raises(ValueError, match=r"\(75, 75\)"):
+        triangulate(RIG, PIXELS, VISIBLE, camera_covariance=np.eye(74))
+    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
+        triangulate(RIG, PIXELS, VISIBLE)
