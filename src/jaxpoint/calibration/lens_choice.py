@@ -10,6 +10,7 @@ from jaxpoint.calibration.result import Stage
 from jaxpoint.config import CalibrateSettings
 
 LEAST_GAIN = 0.01  # of the mean held-out error
+STRETCHES = 40
 LEAST_EVIDENCE = 2.0  # standard errors of the mean difference
 
 
@@ -36,12 +37,17 @@ def choose_lens(
 
 
 def _held_out_frames(kept: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """Frames (N,) set aside: with three views or more where possible, as two views predict next to nothing."""
+    """Frames (N,) set aside in whole stretches: neighbours in time share their errors and would tell too much.
+
+    Frames with three views or more where possible, as two views predict next to nothing.
+    """
     views = kept.sum(axis=1)
     usable = np.flatnonzero(views >= 3) if (views >= 3).sum() >= 100 else np.flatnonzero(views >= 2)
+    stretches = np.array_split(usable, min(STRETCHES, max(len(usable) // 5, 1)))
+    order = np.random.default_rng(seed).permutation(len(stretches))
     held = np.zeros(len(kept), bool)
-    chosen = np.random.default_rng(seed).choice(usable, int(share * len(usable)), replace=False)
-    held[chosen] = True
+    for stretch in order[: max(1, round(share * len(stretches)))]:
+        held[stretches[stretch]] = True
     return held
 
 
@@ -49,6 +55,7 @@ def _held_out_errors(recording: Recording, settled: Settled, freedom: Freedom, h
     """Mean error (px) of every held-out frame, triangulated with cameras fitted without them."""
     kept = settled.judged.kept
     loss = 2.0 * settled.sigma_px
+    freedom = freedom.at_noise(settled.sigma_px)
     fit = adjust(recording, settled.judged.state, kept & ~held[:, None], freedom, loss_scale=loss, steps=40)
     start = RigState(fit.state.cameras, fit.state.base, settled.judged.state.points)
     placed = place_points(recording, start, kept & held[:, None], loss)

@@ -123,7 +123,7 @@ def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, 
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
         rtol, steps = (1e-7, 100) if exact else (1e-4, 15)
-        end = adjust(recording, judged.state, judged.kept, freedom, steps=steps, rtol=rtol, **loss)
+        end = adjust(recording, judged.state, judged.kept, freedom.at_noise(sigma), steps=steps, rtol=rtol, **loss)
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
         again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
         changed = int((again.kept != judged.kept).sum())

@@ -134,6 +134,11 @@ def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.nda
     return mean, (NOISE_PX / sigma) ** 2
 
 
+SIGMA_KNOWN = np.array([0.01, 0.005, 0.01, 0.01, 0.03, 0.03, 0.002, 0.002, 0.03])
+"""How far known intrinsics are trusted when refined: log focal, log aspect, centre (of the image width), k1, k2, p1,
+p2, k3. About what a careful chessboard calibration leaves open."""
+
+
 @dataclass(frozen=True)
 class Freedom:
     """What may move in an adjustment, and what it is drawn to."""
@@ -146,6 +151,19 @@ class Freedom:
     def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
         """The freedom that the settings ask for."""
         return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens))
+
+    def around(self, recording: Recording, numbers: np.ndarray) -> Freedom:
+        """The same freedom, drawn to known intrinsics: nine numbers a camera (C, 9) as `bundle` orders them."""
+        mean, weight = self.prior_mean.copy(), self.prior_weight.copy()
+        sigma = np.tile(SIGMA_KNOWN, (recording.cameras, 1))
+        sigma[:, 2:4] *= recording.image_sizes[: recording.cameras, :1]
+        mean[: recording.cameras, FOCAL:] = numbers
+        weight[: recording.cameras, FOCAL:] = (NOISE_PX / sigma) ** 2
+        return Freedom(self.free, mean, weight)
+
+    def at_noise(self, sigma_px: float) -> Freedom:
+        """The priors weighed against pixels of this noise."""
+        return Freedom(self.free, self.prior_mean, self.prior_weight * (sigma_px / NOISE_PX) ** 2)
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxpoint.calibration.bundle import CENTER, FOCAL
+from jaxpoint.calibration.bundle import FOCAL
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.hypotheses import Lenses, known_numbers
 from jaxpoint.calibration.initial import Inputs, Start, starts
@@ -101,11 +101,9 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
 
 
 def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:
-    """What may move; known intrinsics that are refined take the place of the image centre in the priors."""
+    """What may move, and what it is drawn to."""
     freedom = Freedom.of(recording, settings.lens, distortion, hold=settings.lens.known == "hold")
-    if intrinsics is not None:
-        freedom.prior_mean[: recording.cameras, CENTER] = known_numbers(intrinsics)[:, CENTER.start - FOCAL :][:, :2]
-    return freedom
+    return freedom if intrinsics is None else freedom.around(recording, known_numbers(intrinsics))
 
 
 def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSettings) -> Settled:
