@@ -145,8 +145,8 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """
 
     model: AbstractModel
-    rtol: float = 1e-8  # relative decrease of the cost below which a step counts as quiet; two such steps are the end
-    atol: float = 1e-14
+    rtol: float | Array = 1e-8  # relative decrease of the cost below which a step is quiet; two such are the end
+    atol: float | Array = 1e-14
     xtol: float = 1e-4  # and the largest camera step then, as the change of cost it would make unopposed over the cost
     norm: Callable[[PyTree], Array] = optx.max_norm
     start_damping: float = 1e-4
