@@ -241,8 +241,7 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, V
     points = _optimum(cameras, seen, steps)
 
     def gradient(points: Vector, cameras: Camera, pixels: tuple[Array, Array]) -> Vector:
-        at = seen._replace(pixel_x=pixels[0], pixel_y=pixels[1])
-        return jax.grad(lambda x: jnp.sum(_residuals(cameras, at, x) ** 2))(points)
+        return _fit(cameras, seen._replace(pixel_x=pixels[0], pixel_y=pixels[1]), points).gradient
 
     pixels, pixels_by = seen[:2], tangents[1][:2]
     _, change = jax.jvp(lambda c, p: gradient(points, c, p), (cameras, pixels), (tangents[0], pixels_by))

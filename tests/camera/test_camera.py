@@ -151,6 +151,7 @@ def test_a_similarity_of_the_world_changes_no_pixel():
     np.testing.assert_allclose(np.linalg.det(moved.cameras.cam_from_world.rotation), 1, atol=1e-14)
 
 
+@pytest.mark.usefixtures("any_shape")
 def test_rig_says_what_is_wrong():
     rig = random_rig()
     with pytest.raises(ValueError, match=r"called 'door'.*view 0"):

@@ -165,17 +165,26 @@ def _undistort_radius(coefficients: Float[Array, "5"], distorted: Float[Array, "
     k1, k2, _, _, k3 = coefficients
     reach = jnp.sqrt(_monotone_r2(coefficients))
 
+    def bend(radius: Array) -> tuple[Array, Array]:
+        r2 = radius * radius
+        return radius * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))), _slope(coefficients, r2)
+
     def step(_: Int[Array, ""], state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         radius, low, high = state
-        r2 = radius * radius
-        excess = radius * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) - distorted
+        bent, slope = bend(radius)
+        excess = bent - distorted
         low, high = jnp.where(excess <= 0, radius, low), jnp.where(excess > 0, radius, high)
-        slope = _slope(coefficients, r2)
         newton = radius - excess / jnp.where(slope > 0, slope, 1.0)
         return jnp.where((slope > 0) & (newton >= low) & (newton <= high), newton, (low + high) / 2), low, high
 
-    start = jnp.minimum(distorted, reach), jnp.zeros_like(distorted), jnp.zeros_like(distorted) + reach
-    return jax.lax.fori_loop(0, _RADIAL_STEPS, step, start)[0]
+    start = jnp.minimum(distorted, reach)
+    bent, slope = bend(start)
+    # Where the lens magnifies much, r' grows like a power of r: one Newton step in logarithms goes almost all the way.
+    above = (bent > distorted) & (slope > 0)
+    power = jnp.where(above, bent / jnp.where(above, start * slope, 1.0), 0.0)
+    start = start * jnp.where(above, distorted / jnp.where(above, bent, 1.0), 1.0) ** power
+    bounds = jnp.zeros_like(distorted), jnp.zeros_like(distorted) + reach
+    return jax.lax.fori_loop(0, _RADIAL_STEPS, step, (start, *bounds))[0]
 
 
 @_undistort.defjvp

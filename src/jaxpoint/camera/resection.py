@@ -83,7 +83,7 @@ def resect(
 
 
 def projection_from_points(
-    points: Float[Array, "N 3"], pixels: Float[Array, "N 2"], weights: Float[Array, " N"] | None = None
+    points: Float[AnyArray, "N 3"], pixels: Float[AnyArray, "N 2"], weights: Float[AnyArray, " N"] | None = None
 ) -> Float[Array, "3 4"]:
     """P of a distortion-free camera by the normalised direct linear transform; pure, for jit, vmap and grad.
 
