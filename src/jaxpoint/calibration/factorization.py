@@ -56,7 +56,8 @@ def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px:
     """Projective bundle adjustment: cameras, points and one lens parameter a camera, Cauchy loss."""
     cameras = len(start.cameras)
     numbers = np.concatenate([start.cameras.reshape(cameras, 12), start.lenses[:, None]], axis=1)
-    points = start.points[:, :3] / start.points[:, 3:]
+    seen = start.points[:, 3:] != 0  # a frame that nobody saw must not spread NaN
+    points = np.where(seen, start.points[:, :3], 0.0) / np.where(seen, start.points[:, 3:], 1.0)
     problem, unknowns = _problem(
         data.points, _usable(kept).astype(float), numbers, points, data.half_diagonals, loss_px
     )
