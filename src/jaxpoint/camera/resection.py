@@ -90,7 +90,8 @@ def projection_from_points(
     A weight of 0 hides a point. The scale is such that `P[2, :3]` has length 1 and its left 3 x 3 a positive
     determinant, so that depths come out in metres.
     """
-    w = jnp.ones_like(points[:, 0]) if weights is None else weights
+    points, pixels = as_float(points), as_float(pixels)
+    w = jnp.ones_like(points[:, 0]) if weights is None else as_float(weights)
     rows, to_points, to_pixels = _rows(points, pixels, w)
     matrix = jnp.linalg.solve(to_pixels, null_vector(rows).reshape(3, 4) @ to_points)
     sign = jnp.sign(jnp.linalg.det(matrix[:, :3]))
