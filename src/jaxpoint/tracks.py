@@ -48,7 +48,7 @@ class Tracks(eqx.Module):
             raise ValueError(
                 f"The pixel of camera {camera} in frame {frame} is infinite; write NaN where the light was not seen."
             )
-        seen = np.isfinite(pixels).all(axis=2)
+        seen = np.asarray(np.isfinite(pixels).all(axis=2))
         if visible is not None:
             visible = np.asarray(visible, dtype=bool)
             if visible.shape != (frames, cameras):

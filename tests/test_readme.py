@@ -1,0 +1,61 @@
+"""What the README shows works as it stands there."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxpoint.cli import parse
+from jaxpoint.config import RoomConfig, load_config
+from jaxpoint.io.calibration import read_calibration_json
+from jaxpoint.io.tracks import save_tracks
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
+
+
+COMMANDS = sorted(set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|demo) [^`#\n]*", README)))
+    set(re.findall(r"`?(jaxpoint (?:detect|check|calibrate|align|validate|doctor|demo) [^`#\n]*)", README))
+)
+
+
+@pytest.mark.parametrize("line", COMMANDS)
+def test_every_command_is_understood(line):
+    parse(shlex.split(line)[1:])
+
+
+def test_the_commands_were_found():
+    assert {line.split()[1] for line in COMMANDS} >= {"detect", "check", "calibrate", "align", "validate", "demo"}
+
+
+def test_the_python_example_runs(tmp_path, monkeypatch, solved_room, capsys):
+    calibration = solved_room[1]
+    save_tracks(tmp_path / "tracks.npz", calibration.tracks)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("jaxpoint.calibration.selfcal.calibrate", lambda tracks: calibration)
+    (example,) = blocks("python")
+    names: dict = {}
+    exec(example, names)
+    np.testing.assert_allclose(names["camera"].position, solved_room[0].room.positions[2], atol=1e-9)
+    assert names["found"].valid.shape == (calibration.tracks.frames,)
+    assert capsys.readouterr().out
+
+
+def test_the_calibration_shown_can_be_read(tmp_path):
+    (example,) = blocks("json")
+    (tmp_path / "calibration.json").write_text(example)
+    read = read_calibration_json(tmp_path / "calibration.json")
+    shown = json.loads(example)["cameras"][0]
+    np.testing.assert_array_equal(read.rig.cameras.focal[0], [shown["K"][0][0], shown["K"][1][1]])
+
+
+def test_the_settings_shown_can_be_read(tmp_path):
+    (example,) = blocks("toml")
+    (tmp_path / "room.toml").write_text(example)
+    assert load_config(tmp_path / "room.toml") != RoomConfig()
