@@ -72,7 +72,8 @@ class Row:
 
 def main(options: ValidationLengths) -> None:
     """Measure in every room, and write and print the table."""
-    rows = [measured_room(seed, options) for seed in track(range(*options.seeds), "rooms")]
+    with jax.enable_x64(True):
+        rows = [measured_room(seed, options) for seed in track(range(*options.seeds), "rooms")]
     text = markdown(rows)
     options.out.write_text(text)
     sys.stdout.write(text)
@@ -155,8 +156,7 @@ def centres_alignment(solved: Calibration, room: Room, seed: int) -> Alignment:
 
 def true_rig_error(known: KnownRoom) -> float:
     """Mean absolute error (mm) of the lengths with the true rig: what the clicks alone spoil."""
-    with jax.enable_x64(True):
-        points = np.asarray(triangulate(known.room.rig, known.clicks.pixels, known.clicks.visible).points)
+    points = np.asarray(triangulate(known.room.rig, known.clicks.pixels, known.clicks.visible).points)
     ends = points[LANDMARKS:].reshape(-1, 2, 3)
     return float(1e3 * np.abs(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) - known.lengths.length_m).mean())
 

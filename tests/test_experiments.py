@@ -1,0 +1,185 @@
+"""The experiments, each at its smallest size, and that they notice what they are there to notice."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import random_rooms as rooms
+import self_calibration_stages as stages
+import validation_lengths as lengths
+from jaxpoint.calibration.result import Stage
+from jaxpoint.config import CalibrateSettings, EpipolarSettings
+from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.simulate.rooms import random_room
+
+
+@pytest.fixture(scope="module")
+def easy():
+    """One room of four cameras, as `calibrate` leaves it, and its row."""
+    return rooms.solved_room(5, rooms.RandomRooms(cameras=4))
+
+
+def row(seed: int, **changes) -> rooms.Row:
+    """A room that went well, but for the changes."""
+    good = rooms.Row(seed, 4, "wall", 0.7, 0.5, 0.05, "ok", 1.25, 1.0001, 3.0, 2.9, False, 40, 39, 800, 2)
+    return replace(good, **changes)
+
+
+def test_a_room_is_solved_as_from_the_truth(easy):
+    assert easy.verdict == "ok"
+    assert easy.right
+    assert 0.98 < easy.ratio < 1.001
+    assert 0.1 < easy.reference_mm < 30
+    assert easy.outliers > 0
+    assert easy.found >= 0.95 * easy.outliers
+    assert easy.lost < 0.02 * easy.good
+    # The noise that was drawn is the noise that is found.
+    assert easy.sigma_px == pytest.approx(easy.noise_px, rel=0.1)
+
+
+def test_centres_and_hand_against_a_known_transformation():
+    room = random_room(5, cameras=4)
+    placed = np.ones(room.tracks.frames, bool)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved, points = 2.5 * room.positions @ turn.T + 7.0, 2.5 * room.points @ turn.T + 7.0
+    assert rooms.centre_error(room, moved, points, placed) == (pytest.approx(0.0, abs=1e-6), False)
+    mirror = np.array([1.0, 1.0, -1.0])
+    assert rooms.centre_error(room, moved * mirror, points * mirror, placed)[1]
+    shift = np.array([0.01, 0.0, 0.0]) * np.array([[1.0], [-1.0], [1.0], [-1.0]])
+    assert 1.0 < rooms.centre_error(room, room.positions + shift, room.points, placed)[0] <= 10.0
+    # Frames without a point do not count.
+    wild, placed[:40] = room.points.copy(), False
+    wild[:40] = 1e6
+    assert rooms.centre_error(room, room.positions, wild, placed) == (pytest.approx(0.0, abs=1e-6), False)
+
+
+def test_outliers_are_counted_where_two_other_good_views_can_tell(solved_room):
+    known, calibration = solved_room
+    counted = rooms.outlier_figures(known.room, calibration)  # the fixture keeps everything but the outliers
+    assert counted["found"] == counted["outliers"] > 0
+    assert counted["lost"] == 0
+    believing = replace(calibration, verdicts=np.zeros_like(calibration.verdicts))
+    assert rooms.outlier_figures(known.room, believing)["found"] == 0
+    testable = known.room.tracks.visible[~known.room.is_outlier.any(axis=1)].sum(axis=1)
+    assert counted["good"] >= testable[testable >= 3].sum()
+
+
+def test_a_wrong_rig_called_good_is_told_from_one_that_was_marked():
+    table = rooms.summary(
+        [
+            row(0),
+            row(1, ratio=1.02),
+            row(2, centres_mm=9.0),
+            row(3, mirrored=True),
+            row(4, ratio=2.0, verdict="gate", remark="too large"),
+            rooms.Row(5, 4, "wall", 0.7, 0.5, 0.05, "error", 0.1, remark="too few"),
+        ]
+    )
+    assert table["rooms"] == 6
+    assert table["cost_within_1_percent"] == 3
+    assert table["centres_within_3_times"] == 4
+    assert table["mirrored"] == table["errors"] == table["marked_by_a_gate"] == 1
+    assert table["wrong_called_good"] == 3
+    assert table["outliers_found"] == pytest.approx(39 / 40)
+    assert [line["seed"] for line in table["not_right"]] == [1, 2, 3, 4, 5]
+    text = rooms.markdown(table)
+    assert "| wrong rigs called good | 3 | 0 |" in text
+    assert text.splitlines()[-1].startswith("| 5 |")
+
+
+def test_rows_are_kept_and_not_run_again(tmp_path, monkeypatch, capsys):
+    asked = []
+
+    def solved(options, seeds):
+        asked.append(list(seeds))
+        yield from (row(seed, remark='said "no", twice') for seed in seeds)
+
+    monkeypatch.setattr(rooms, "solved_rooms", solved)
+    rooms.main(rooms.RandomRooms((0, 2), tmp_path))
+    rooms.main(rooms.RandomRooms((0, 4), tmp_path))
+    assert asked == [[0, 1], [2, 3]]
+    assert rooms.read_rows(tmp_path / "rows.csv") == [row(seed, remark='said "no", twice') for seed in range(4)]
+    assert capsys.readouterr().out.endswith((tmp_path / "summary.md").read_text())
+    with pytest.raises(UsageError, match="other settings"):
+        rooms.main(rooms.RandomRooms((0, 4), tmp_path, settings=CalibrateSettings(init="thesis")))
+
+
+def test_workers_hand_back_errors_as_rows(tmp_path):
+    refused = CalibrateSettings(epipolar=EpipolarSettings(min_shared_frames=10_000))
+    options = rooms.RandomRooms((3, 5), tmp_path, workers=1, frames=120, cameras=3, settings=refused)
+    rooms.main(options)
+    found = rooms.read_rows(tmp_path / "rows.csv")
+    assert [line.seed for line in found] == [3, 4]
+    assert {line.verdict for line in found} == {"error"}
+    assert "fits no other" in found[0].remark
+
+
+def test_stages_of_the_published_recording(data_folder, tmp_path):
+    out = tmp_path / "stages.md"
+    stages.main(stages.Stages(data_folder / "svoboda_strawlab2010", out, every=4))
+    lines = {cells[1].strip(): cells[2:-1] for cells in (line.split("|") for line in out.read_text().splitlines())}
+    assert lines["inliers, cameras 1 and 2"][0].strip() == "523/523"
+    counts = [re.findall(r"\d+", cell) for cell in lines["inliers, cameras 1 and 2"][1:]]
+    assert all(0.9 * int(shared) < int(inliers) <= int(shared) < 300 for inliers, shared in counts)
+    # The toolbox: 0.709 px, 0.62 px.
+    first, refined, final = (
+        np.array(lines[f"{what}, px"][1:], float)
+        for what in ("projective error, first", "projective error, refined", "final mean")
+    )
+    assert (first < 1.0).all()
+    assert (refined < first).all()
+    assert (final < 0.62).all()
+
+
+def test_lengths_in_a_room(tmp_path):
+    out = tmp_path / "lengths.md"
+    lengths.main(lengths.ValidationLengths((5, 6), out, cameras=4))
+    header, _, cells, mean = (
+        [cell.strip() for cell in line.split("|")[1:-1]] for line in out.read_text().splitlines()[:4]
+    )
+    found = dict(zip(header, cells))
+    assert int(found["lengths"]) == 12
+    for column in ("by_landmarks", "by_centres", "predicted", "true_rig"):
+        assert 0.2 < float(found[column]) < 20.0, column
+        assert mean[header.index(column)] == found[column]
+    assert float(found["true_rig"]) < 3 * float(found["predicted"])
+
+
+def test_edges_of_tables_are_level_and_seen():
+    room = random_room(8, cameras=5)
+    ends = lengths.seen_edges(room, np.random.default_rng(0), 12)
+    size = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    assert ((size >= 0.5) & (size <= 2.0)).all()
+    np.testing.assert_allclose(ends[:, 0, 2], ends[:, 1, 2])
+    assert (room.seen(ends.reshape(-1, 3))[1].sum(axis=1) >= 3).all()
+
+
+def test_a_room_that_cannot_be_calibrated_has_its_reason_in_its_row(monkeypatch):
+    def refuse(tracks):
+        raise InsufficientDataError("no light")
+
+    monkeypatch.setattr(lengths, "calibrate", refuse)
+    found = lengths.measured_room(5, lengths.ValidationLengths(cameras=4))
+    assert found.remark == "no light"
+    assert found.by_landmarks is None
+    assert found.true_rig is not None
+
+
+def test_a_quality_gate_is_no_success(monkeypatch, easy, solved_room):
+    bad = replace(
+        solved_room[1],
+        converged=False,
+        stages=(
+            Stage("First solution", {"candidates": [{"robust_cost_px2": 1.0}], "chosen": "thesis"}),
+            Stage("Adjustment", {"robust_cost_px2": 1e6, "rounds": 20}),
+        ),
+    )
+    room = solved_room[0].room
+    monkeypatch.setattr(rooms, "random_room", lambda seed, **_: room)
+    monkeypatch.setattr(rooms, "calibrate", lambda tracks, settings: bad)
+    found = rooms.solved_room(0, rooms.RandomRooms())
+    assert (found.verdict, found.right, found.start) == ("gate", False, "thesis")
+    assert "did not converge" in found.remark
+    assert found.ratio > 1
