@@ -1,0 +1,117 @@
+"""Derivatives and steps of the camera models against finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxpoint.calibration.bundle import SIZE, BrownModel, from_blocks, padded_frames, to_blocks
+from jaxpoint.calibration.projective import PoseModel, ProjectiveModel
+
+STEP = 1e-6
+
+
+def brown(turn, lens):
+    """Two cameras turned by a rotation vector from their base, and where they see three points."""
+    base = Rotation.from_euler("xyz", [[0.1, 0.2, 0.3], [0.0, -0.4, 0.1]]).as_matrix()
+    cameras = np.zeros((2, SIZE))
+    cameras[:, :3] = turn
+    cameras[:, 3:6] = [[0.1, -0.2, 5.0], [0.3, 0.1, 4.0]]
+    cameras[:, 6:] = [np.log(900.0), 0.01, 630.0, 350.0, *lens]
+    back = np.linalg.inv(Rotation.from_rotvec(cameras[:, :3]).as_matrix() @ base)  # points stay before the cameras
+    points = back[0] @ np.array([[0.5, -0.5, 0.2], [0.3, 0.4, -0.6], [0.1, 0.9, -0.5]]).T
+    return BrownModel(), cameras, base, points, 640.0 + np.zeros((2, 2, 3))
+
+
+def projective(model, lens=None):
+    rng = np.random.default_rng(0)
+    cameras = rng.normal(size=(2, 3, 4)) * 0.3
+    cameras[:, 2] = [0.1, -0.1, 0.2, 1.0]
+    numbers = cameras.reshape(2, 12)
+    if lens is not None:
+        numbers = np.concatenate([numbers, np.full((2, 1), lens)], axis=1)
+    constants = np.array([700.0, 800.0]) if lens is not None else np.zeros((2, 0))
+    return model, numbers, constants, rng.uniform(-0.5, 0.5, (3, 3)), rng.uniform(-0.5, 0.5, (2, 2, 3))
+
+
+CASES = {
+    "brown at rest": brown([0.0, 0.0, 0.0], np.zeros(5)),
+    "brown bent": brown([0.2, -0.1, 0.3], [-0.2, 0.05, 0.002, -0.001, 0.01]),
+    "brown near pi": brown([0.0, np.pi - 1e-3, 0.0], [-0.2, 0.05, 0.0, 0.0, 0.0]),
+    "pose": projective(PoseModel()),
+    "projective": projective(ProjectiveModel(), -0.2),
+    "projective without lens": projective(ProjectiveModel(), 0.0),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_jacobians(case):
+    """The block's Jacobians by the step and the point: residuals after `retract`, in central differences."""
+    model, cameras, constants, points, pixels = CASES[case]
+    constants, points, pixels = (jnp.asarray(part) for part in (constants, points, pixels))
+
+    @jax.jit
+    def residuals(step, shift):
+        moved = model.retract(jnp.asarray(cameras), constants, step)
+        return model._block_residuals(model.state(moved, constants), points + shift, pixels)
+
+    @jax.jit
+    def derivatives(cameras):
+        state = model.state(cameras, constants)
+        return model._block_jacobians(state, points, pixels), model._block_point_jacobians(state, points, pixels)
+
+    (value, for_camera, for_point), alone = derivatives(cameras)
+    none = np.zeros_like(cameras)
+    np.testing.assert_allclose(value, residuals(none, np.zeros((3, 3))), atol=1e-9)
+    scale = np.abs(np.asarray(for_camera)).max()
+    for parameter in range(model.camera_size):
+        step = none.copy()
+        step[:, parameter] = STEP
+        numeric = (residuals(step, np.zeros((3, 3))) - residuals(-step, np.zeros((3, 3)))) / (2 * STEP)
+        np.testing.assert_allclose(for_camera[:, :, parameter], numeric, atol=2e-6 * scale)
+    for axis in range(3):
+        shift = np.zeros((3, 3))
+        shift[axis] = STEP
+        numeric = (residuals(none, shift) - residuals(none, -shift)) / (2 * STEP)
+        np.testing.assert_allclose(for_point[:, :, axis], numeric, atol=2e-6 * scale)
+    np.testing.assert_allclose(alone[0], value, atol=1e-9)
+    np.testing.assert_allclose(alone[1], for_point, atol=1e-9)
+
+
+def test_projective_lens_is_the_division_model():
+    """An undistorted u maps to the distorted d with d / (1 + lambda |d|^2) = u."""
+    model, numbers, constants, points, pixels = CASES["projective"]
+    state = model.state(jnp.asarray(numbers), jnp.asarray(constants))
+    residual = np.asarray(jax.jit(model._block_residuals)(state, points, pixels))
+    bent = residual / constants[:, None, None] + pixels
+    local = np.einsum("cij,jf->cif", numbers[:, :12].reshape(2, 3, 4), np.vstack([points, np.ones(3)]))
+    straight = bent / (1.0 + numbers[0, 12] * (bent**2).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(straight, local[:, :2] / local[:, 2:], atol=1e-12)
+
+
+def test_retract_turns_from_the_left_and_bounds_the_focal_length():
+    model, cameras, constants, _, _ = CASES["brown bent"]
+    step = np.random.default_rng(1).normal(0.0, 0.1, cameras.shape)
+    step[:, 6] = [3.0, -3.0]
+    moved = np.array(jax.jit(model.retract)(cameras, constants, step))
+    expected = Rotation.from_rotvec(step[:, :3]) * Rotation.from_rotvec(cameras[:, :3])
+    np.testing.assert_allclose(Rotation.from_rotvec(moved[:, :3]).as_matrix(), expected.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(moved[:, 6] - cameras[:, 6], [0.7, -0.7])
+    np.testing.assert_allclose(moved[:, 8:], cameras[:, 8:] + step[:, 8:])
+
+
+def test_blocks_and_back():
+    values = np.arange(256 * 4 * 2, dtype=float).reshape(256, 4, 2)
+    blocks = to_blocks(values)
+    assert blocks.shape == (2, 4, 2, 128)
+    np.testing.assert_array_equal(blocks[1, :, :, 3], values[131])
+    np.testing.assert_array_equal(from_blocks(blocks), values)
+
+
+def test_few_padded_lengths():
+    sizes = {padded_frames(frames) for frames in range(1, 20_000)}
+    assert all(padded_frames(frames) >= frames for frames in range(1, 20_000))
+    assert all(size % 128 == 0 for size in sizes)
+    assert len(sizes) <= 12
+    assert {512, 768, 1024, 1536} <= sizes
