@@ -21,8 +21,6 @@ def blocks(language: str) -> list[str]:
 
 
 COMMANDS = sorted(set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|demo) [^`#\n]*", README)))
-    set(re.findall(r"`?(jaxpoint (?:detect|check|calibrate|align|validate|doctor|demo) [^`#\n]*)", README))
-)
 
 
 @pytest.mark.parametrize("line", COMMANDS)
