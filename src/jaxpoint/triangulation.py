@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntFlag
 from functools import partial
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -19,15 +19,12 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+from jaxpoint.geometry.linalg import Symmetric, Vector, symmetric_full, symmetric_inverse, symmetric_times
 
 MIN_PARALLAX = math.radians(2.0)
-_BLOCK = 512  # points that are worked on at once on a CPU, so that they stay in its cache
+_BLOCK = 1024  # points that are worked on at once on a CPU, so that they stay in its cache
 _DAMPING = 1e-6  # of Levenberg-Marquardt at the start, relative to the diagonal
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-# Blocks of points are tuples of components, each with the points last: XLA then makes one pass over each.
-Vector: TypeAlias = tuple[Float[Array, " B"], ...]  # x, y, z
-Symmetric: TypeAlias = tuple[Float[Array, " B"], ...]  # xx, xy, xz, yy, yz, zz
 
 
 class Flag(IntFlag):
@@ -168,8 +165,8 @@ def _triangulate_block(
 
     points = _optimum(cameras, seen, steps)
     fit = _fit(cameras, seen, points)
-    inverse = _inverse(fit.normal)
-    covariance = sigma_px**2 * _full(inverse)
+    inverse = symmetric_inverse(fit.normal)
+    covariance = sigma_px**2 * symmetric_full(inverse)
     if camera_covariance is not None:
         covariance = covariance + _from_cameras(cameras, seen, points, inverse, camera_covariance)
     unknown = jnp.where(jnp.eye(3, dtype=bool), jnp.inf, 0.0).astype(covariance.dtype)
@@ -224,7 +221,7 @@ def _optimum(cameras: Camera, seen: Seen, steps: int) -> Vector:
         points, fit = jax.tree.map(partial(jnp.where, better), (trial, trial_fit), (points, fit))
         xx, xy, xz, yy, yz, zz = fit.normal
         more = 1 + damping
-        move = _times(_inverse((xx * more, xy, xz, yy * more, yz, zz * more)), fit.gradient)
+        move = symmetric_times(symmetric_inverse((xx * more, xy, xz, yy * more, yz, zz * more)), fit.gradient)
         return tuple(old - by for old, by in zip(points, move, strict=True)), points, fit, damping
 
     start = _linear(cameras, seen)
@@ -247,7 +244,7 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, V
     _, change = jax.jvp(lambda c, p: gradient(points, c, p), (cameras, pixels), (tangents[0], pixels_by))
     _, hessian = jax.linearize(lambda x: gradient(x, cameras, pixels), points)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (hessian(axis) for axis in _axes(points[0]))
-    moved = _times(_inverse((xx, xy, xz, yy, yz, zz)), change)
+    moved = symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), change)
     known = jnp.any(seen.used, axis=0)
     return points, tuple(jnp.where(known, -by, 0.0) for by in moved)
 
@@ -277,7 +274,7 @@ def _linear(cameras: Camera, seen: Seen) -> Vector:
         return tuple(a + b for a, b in zip(*products, strict=True))
 
     sums = _sum_views(*jax.vmap(one)(cameras, seen.ideal_x, seen.ideal_y, seen.used))
-    return tuple(-value for value in _times(_inverse(sums[:6]), sums[6:]))
+    return tuple(-value for value in symmetric_times(symmetric_inverse(sums[:6]), sums[6:]))
 
 
 def _fit(cameras: Camera, seen: Seen, points: Vector) -> Fit:
@@ -364,37 +361,9 @@ def _from_cameras(
         return jnp.where(used[None, None], jnp.stack(rows).transpose(0, 2, 1), 0.0)
 
     pull = jax.vmap(one)(cameras, seen.used).transpose(3, 1, 0, 2)  # (B, 3, C, 15)
-    moved = jnp.einsum("bij,bjd->bid", _full(inverse), pull.reshape(*pull.shape[:2], -1))
+    moved = jnp.einsum("bij,bjd->bid", symmetric_full(inverse), pull.reshape(*pull.shape[:2], -1))
     spread = (moved.reshape(-1, moved.shape[2]) @ camera_covariance).reshape(moved.shape)
     return jnp.einsum("bid,bjd->bij", spread, moved)
-
-
-def _inverse(matrix: Symmetric) -> Symmetric:
-    """Inverse of symmetric positive matrices by L D L^T; pivots too small to mean anything are raised."""
-    xx, xy, xz, yy, yz, zz = matrix
-    trace = xx + yy + zz
-    least = jnp.where(trace > 0, trace, 1.0) * jnp.finfo(trace.dtype).eps
-    i0 = 1 / jnp.maximum(xx, least)
-    l10, l20 = xy * i0, xz * i0
-    d1 = jnp.maximum(yy - l10 * xy, least)
-    i1 = 1 / d1
-    l21 = (yz - l20 * xy) * i1
-    i22 = 1 / jnp.maximum(zz - l20 * xz - l21 * l21 * d1, least)
-    across = l10 * l21 - l20
-    i12 = -l21 * i22
-    i02 = across * i22
-    i01 = -l10 * i1 - l21 * i02
-    return i0 + l10 * l10 * i1 + across * i02, i01, i02, i1 - l21 * i12, i12, i22
-
-
-def _times(matrix: Symmetric, vector: Vector) -> Vector:
-    (xx, xy, xz, yy, yz, zz), (x, y, z) = matrix, vector
-    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
-
-
-def _full(matrix: Symmetric) -> Float[Array, "B 3 3"]:
-    xx, xy, xz, yy, yz, zz = matrix
-    return jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
 
 
 def _axes(like: Float[Array, " B"]) -> list[Vector]:

@@ -65,21 +65,14 @@ def resect(
     if len(points) < MIN_POINTS:
         raise InsufficientDataError(f"Resection needs {MIN_POINTS} points, not {len(points)}; measure more of them.")
     _check_points(np.asarray(points), np.asarray(pixels))
-    camera = _linear_camera(points, pixels)
-    behind = int((np.asarray(camera.depth(points)) <= 0).sum())
-    if 2 * behind > len(points):
-        raise InsufficientDataError(
-            f"{behind} of {len(points)} points come out behind the camera; an axis of the pixels or of the world is "
-            "mirrored, or the pixels belong to other points."
-        )
+    camera, depths, singular_values = _linear_camera(points, pixels)
+    _check_solution(np.asarray(depths), np.asarray(singular_values))
     converged, message = True, "linear solution"
     if refine:
-        camera, converged = _refine(camera, points, pixels, lens_terms)
-        converged = bool(converged)
+        camera, success = _refine(camera, points, pixels, lens_terms)
+        converged = bool(success)
         message = "converged" if converged else "the step limit was reached"
-    residuals = np.asarray(camera.project(points) - pixels)
-    rms = float(np.sqrt((residuals**2).sum(axis=1).mean()))
-    return Resection(camera, rms, converged, message)
+    return Resection(camera, float(_rms(camera, points, pixels)), converged, message)
 
 
 def projection_from_points(
@@ -138,20 +131,39 @@ def _check_points(points: np.ndarray, pixels: np.ndarray) -> None:
             f"The {len(points)} points lie on a plane (thickness {share:.1e} of their extent), which cannot tell a "
             "camera; add points off that plane."
         )
-    rows, _, _ = _rows(jnp.asarray(points), jnp.asarray(pixels), jnp.ones(len(points), dtype=points.dtype))
-    largest, second, last = np.linalg.svd(np.asarray(rows), compute_uv=False)[[0, -2, -1]]
+
+
+def _check_solution(depths: np.ndarray, singular_values: np.ndarray) -> None:
+    """Refuse a linear solution that is not the only one, or that has the points behind the camera."""
+    largest, second, last = singular_values[[0, -2, -1]]
     if second <= max(1e-7 * largest, 2 * last):
         raise InsufficientDataError(
-            f"The {len(points)} points fit more than one camera (singular values {second:.1e} and {last:.1e} are "
+            f"The {len(depths)} points fit more than one camera (singular values {second:.1e} and {last:.1e} are "
             "alike); add points at other depths, or look for wrong pixels."
+        )
+    behind = int((depths <= 0).sum())
+    if 2 * behind > len(depths):
+        raise InsufficientDataError(
+            f"{behind} of {len(depths)} points come out behind the camera; an axis of the pixels or of the world is "
+            "mirrored, or the pixels belong to other points."
         )
 
 
 @eqx.filter_jit
-def _linear_camera(points: Float[Array, "N 3"], pixels: Float[Array, "N 2"]) -> Camera:
+def _linear_camera(
+    points: Float[Array, "N 3"], pixels: Float[Array, "N 2"]
+) -> tuple[Camera, Float[Array, " N"], Float[Array, " 12"]]:
+    """The camera, the depths of the points, and the singular values of the linear system."""
     intrinsics, pose = decompose_projection(projection_from_points(points, pixels))
     none = jnp.zeros(5, dtype=intrinsics.dtype)
-    return Camera(jnp.diagonal(intrinsics)[:2], intrinsics[:2, 2], Brown(none), pose)
+    camera = Camera(jnp.diagonal(intrinsics)[:2], intrinsics[:2, 2], Brown(none), pose)
+    rows, _, _ = _rows(points, pixels, jnp.ones_like(points[:, 0]))
+    return camera, camera.depth(points), jnp.linalg.svd(rows, compute_uv=False)
+
+
+@eqx.filter_jit
+def _rms(camera: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N 2"]) -> Float[Array, ""]:
+    return jnp.sqrt(jnp.mean(jnp.sum((camera.project(points) - pixels) ** 2, axis=1)))
 
 
 @eqx.filter_jit

@@ -1,0 +1,43 @@
+"""Null vectors and small symmetric matrices against numpy and finite differences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.test_util import check_grads
+
+from jaxpoint.geometry.linalg import null_vector, symmetric_full, symmetric_inverse, symmetric_times
+
+RNG = np.random.default_rng(0)
+ROWS, COLUMNS = np.triu_indices(3)
+HALVES = RNG.normal(size=(20, 3, 5))
+MATRICES = HALVES @ HALVES.transpose(0, 2, 1)
+PACKED = tuple(jnp.asarray(MATRICES[:, i, j]) for i, j in zip(ROWS, COLUMNS, strict=True))
+
+
+def test_symmetric_matrices_are_numpys():
+    np.testing.assert_allclose(symmetric_full(PACKED), MATRICES, atol=1e-15)
+    inverse = jax.jit(symmetric_inverse)(PACKED)
+    np.testing.assert_allclose(symmetric_full(inverse), np.linalg.inv(MATRICES), rtol=1e-9, atol=1e-12)
+    vectors = RNG.normal(size=(20, 3))
+    product = symmetric_times(PACKED, tuple(jnp.asarray(vectors.T)))
+    np.testing.assert_allclose(np.stack(product, axis=1), np.einsum("nij,nj->ni", MATRICES, vectors), atol=1e-12)
+
+
+def test_inverse_of_a_singular_matrix_is_finite():
+    for packed in (np.zeros((6, 1)), np.array([[1.0], [1], [1], [1], [1], [1]])):
+        assert np.isfinite(symmetric_full(symmetric_inverse(tuple(jnp.asarray(packed))))).all()
+
+
+def test_null_vector_is_numpys_with_derivatives():
+    matrix = RNG.normal(size=(9, 4))
+    theirs = np.linalg.svd(matrix)[2][-1]
+
+    @jax.jit
+    def fixed(m):
+        vector = null_vector(m)
+        return vector * jnp.sign(vector @ theirs)
+
+    np.testing.assert_allclose(fixed(matrix), theirs, atol=1e-13)
+    check_grads(fixed, (matrix,), order=1, modes=["fwd", "rev"], atol=1e-6, rtol=1e-6)
+    wide = jnp.asarray(RNG.normal(size=(2, 3)))
+    np.testing.assert_allclose(wide @ null_vector(wide), 0, atol=1e-14)
