@@ -19,7 +19,7 @@ import signal
 import sys
 import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Annotated
@@ -130,23 +130,33 @@ def check_same(options: RandomRooms) -> None:
 
 
 def solved_rooms(options: RandomRooms, seeds: list[int]) -> Iterator[Row]:
-    """Rows as they are finished. Rooms of as many cameras are shared out to one worker, the largest first."""
-    drawn = [(random_room(s, cameras=options.cameras, frames=options.frames).tracks.cameras, s) for s in seeds]
-    load = [0] * options.workers
+    """Rows as they are finished, small rooms first."""
     context = multiprocessing.get_context("spawn")
-    pools = [ProcessPoolExecutor(1, context, _leave_interrupts_to_the_parent) for _ in load]
-    futures: list[Future[Row]] = []
+    pools = [ProcessPoolExecutor(1, context, _leave_interrupts_to_the_parent) for _ in range(options.workers)]
     try:
-        for cameras in sorted({count for count, _ in drawn}, reverse=True):
-            group = [seed for count, seed in drawn if count == cameras]
-            worker = int(np.argmin(load))
-            load[worker] += len(group) * cameras
-            futures += [pools[worker].submit(solved_room, seed, options) for seed in group]
+        futures = [
+            pool.submit(solved_room, seed, options)
+            for pool, share in zip(pools, shared_out(options, seeds))
+            for seed in share
+        ]
         for future in as_completed(futures):
             yield future.result()
     finally:
         for pool in pools:
             pool.shutdown(cancel_futures=True)
+
+
+def shared_out(options: RandomRooms, seeds: list[int]) -> list[list[int]]:
+    """The seeds of every worker: rooms of as many cameras go to the same one, the largest to the least busy."""
+    drawn = [(random_room(s, cameras=options.cameras, frames=options.frames).tracks.cameras, s) for s in seeds]
+    shares: list[list[int]] = [[] for _ in range(options.workers)]
+    load = [0] * options.workers
+    for cameras in sorted({count for count, _ in drawn}, reverse=True):
+        group = [seed for count, seed in drawn if count == cameras]
+        worker = int(np.argmin(load))
+        load[worker] += len(group) * cameras
+        shares[worker] = group + shares[worker]
+    return shares
 
 
 def _leave_interrupts_to_the_parent() -> None:
