@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxpoint.cli import main, parse
+from jaxpoint.cli import command_line, main, parse
 from jaxpoint.config import RoomConfig
 from jaxpoint.io.tracks import load_tracks, save_tracks
 from jaxpoint.runs import read_run, write_run
@@ -347,3 +347,23 @@ def test_doctor_examines_this_machine(capsys):
     assert findings["float64"]["state"] == "works"
     assert findings["jax"]["state"] == __import__("jax").__version__
     assert findings["extra 'view'"]["remedy"] in ("", 'pip install "jaxpoint[view]"')
+
+
+@pytest.mark.parametrize(("code", "leave"), [(0, "sys.exit"), (5, "sys.exit"), (130, "os._exit")])
+def test_the_process_ends_with_the_code_of_its_command(monkeypatch, code, leave):
+    """An interrupted one at once: the orderly way crashes in threads of XLA."""
+    left = []
+
+    def leaving(how):
+        def leave_with(value):
+            left.append((how, value))
+            raise SystemExit
+
+        return leave_with
+
+    monkeypatch.setattr("jaxpoint.cli.main", lambda arguments: code)
+    monkeypatch.setattr("sys.exit", leaving("sys.exit"))
+    monkeypatch.setattr("os._exit", leaving("os._exit"))
+    with pytest.raises(SystemExit):
+        command_line()
+    assert left == [(leave, code)]

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from functools import reduce
 from operator import or_
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, NoReturn, get_args
 
 import tyro
 
@@ -43,9 +43,23 @@ ENVIRONMENT = MissingDependencyError.exit_code
 INTERRUPTED = 130
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; what `jaxpoint` on the command line calls."""
-    argv = list(sys.argv[1:] if argv is None else argv)
+def command_line() -> NoReturn:
+    """What `jaxpoint` on the command line calls: run the command and exit with its code."""
+    code = main(sys.argv[1:])
+    if code == INTERRUPTED:
+        # Threads of an interrupted XLA compilation crash the interpreter's orderly shutdown.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run one command and return its exit code.
+
+    Raises:
+        SystemExit: help was asked for (0), or a flag is unknown or has a wrong value (2).
+    """
     console = Console("--json" in argv, "-v" in argv or "--verbose" in argv)
     logging.basicConfig(format="%(name)s: %(message)s")
     logging.getLogger("jaxpoint").setLevel(logging.INFO if console.verbose else logging.WARNING)
