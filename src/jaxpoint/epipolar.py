@@ -13,7 +13,10 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxpoint.geometry.arrays import AnyArray
 
 Method = Literal["magsac", "ransac", "lmeds", "8point"]
 
@@ -187,6 +190,16 @@ def _score(error: Float[Array, "H M"], seen: Bool[Array, " M"], threshold, metho
     return jnp.where(seen[None], value, 0.0).sum(axis=1)
 
 
+SCORED = 192  # matches on which hypotheses are compared
+
+
+class Samples(eqx.Module):
+    """Indices of random matches; now and then one stands twice in a minimal sample, which then scores badly."""
+
+    minimal: Int[AnyArray, "L S 7"]
+    scored: Int[AnyArray, " M"]
+
+
 class PairFit(eqx.Module):
     """Robust epipolar geometry of one pair."""
 
@@ -196,42 +209,46 @@ class PairFit(eqx.Module):
     choice: Int[Array, ""]  # which of the offered lens pairs was best
 
 
-@partial(jax.jit, static_argnames=("samples", "method"))
+def draw_samples(rng: np.random.Generator, seen: Bool[np.ndarray, " N"], lenses: int, samples: int) -> Samples:
+    """Random matches for `robust_fundamental`, drawn outside of JAX: its generators take seconds to compile."""
+    visible = np.flatnonzero(seen)
+    if len(visible) == 0:
+        return Samples(np.zeros((lenses, samples, 7), int), np.zeros(SCORED, int))
+    return Samples(rng.choice(visible, (lenses, samples, 7)), np.resize(rng.permutation(visible), SCORED))
+
+
+@partial(jax.jit, static_argnames="method")
 def robust_fundamental(
-    key: PRNGKeyArray,
+    draws: Samples,
     points_a: Float[Array, "N 2"],
     points_b: Float[Array, "N 2"],
     seen: Bool[Array, " N"],
     half_diagonals: Float[Array, "2"],
     lenses: Float[Array, "L 2"],
     threshold: Float[Array, ""],
-    samples: int = 128,
     method: Method = "magsac",
 ) -> PairFit:
     """Robust F of one pair: seven-point samples under each offered lens pair, then reweighted eight-point fits.
 
     Args:
-        key: randomness of the samples.
+        draws: random matches, from `draw_samples`.
         points_a, points_b: distorted, over half the image diagonal.
         seen: which matches exist; hidden ones never matter.
         half_diagonals: of both images, px.
         lenses: candidates of the two division-model parameters.
         threshold: largest inlier error, px.
-        samples: minimal samples under each candidate.
         method: `magsac` (default), `ransac` (the thesis's), `lmeds`, or `8point` (all matches, then reweighted).
     """
-    chosen = _draw(key, seen, (2, 192))
-    subset = chosen[0]
-    scored = jnp.arange(192) < seen.sum()
+    subset = draws.scored
+    scored = jnp.arange(SCORED) < seen.sum()
 
-    def candidate(lens, sample_key):
+    def candidate(lens, index):
         first = View(points_a, lens[0], half_diagonals[0])
         second = View(points_b, lens[1], half_diagonals[1])
         rays_a, rays_b = first.rays, second.rays
         if method == "8point":
             hypotheses = eight_point(rays_a, rays_b, seen.astype(rays_a.dtype))[None]
         else:
-            index = _draw(sample_key, seen, (samples, 7))
             hypotheses = seven_point(rays_a[index], rays_b[index]).reshape(-1, 3, 3)
         few = (rays_a[subset], rays_b[subset], first.slopes()[subset], second.slopes()[subset])
         errors = jax.vmap(lambda f: _sampson(f, *few))(hypotheses)
@@ -239,7 +256,7 @@ def robust_fundamental(
         best = jnp.argmax(score)
         return hypotheses[best], score[best]
 
-    fits, scores = jax.lax.map(lambda pair: candidate(*pair), (lenses, jax.random.split(key, lenses.shape[0])))
+    fits, scores = jax.lax.map(lambda pair: candidate(*pair), (lenses, draws.minimal))
     choice = jnp.argmax(scores)
     first = View(points_a, lenses[choice, 0], half_diagonals[0])
     second = View(points_b, lenses[choice, 1], half_diagonals[1])
@@ -248,30 +265,21 @@ def robust_fundamental(
     return PairFit(fundamental, error, seen & (error < threshold), choice)
 
 
-def _draw(key, seen, shape) -> Int[Array, "..."]:
-    """Random indices of visible matches (now and then one twice in a sample: such a sample scores badly)."""
-    order = jnp.argsort(~seen)
-    picks = jax.random.randint(key, shape, 0, jnp.maximum(seen.sum(), 1))
-    return order[picks]
-
-
 def _polished(fundamental, first: View, second: View, seen, threshold) -> Float[Array, "3 3"]:
     """Iteratively reweighted eight-point fits with MAGSAC weights; a fit that explains less is not taken."""
     rays_a, rays_b, slopes_a, slopes_b = first.rays, second.rays, first.slopes(), second.slopes()
 
-    def weigh(fit):
-        error = _sampson(fit, rays_a, rays_b, slopes_a, slopes_b)
-        return jnp.where(seen, magsac_weight(error, threshold / 3.64), 0.0)
-
     def again(carry, _):
-        fit, best = carry
-        weight = weigh(fit)
+        fit, best_fit, best = carry
+        error = _sampson(fit, rays_a, rays_b, slopes_a, slopes_b)
+        weight = jnp.where(seen, magsac_weight(error, threshold / 3.64), 0.0)
+        better = weight.sum() > best
+        best_fit, best = jnp.where(better, fit, best_fit), jnp.where(better, weight.sum(), best)
         new = eight_point(rays_a, rays_b, weight / _gradient2(fit, rays_a, rays_b, slopes_a, slopes_b))
-        score = weigh(new).sum()
-        better = score > best
-        return (jnp.where(better, new, fit), jnp.where(better, score, best)), None
+        return (new, best_fit, best), None
 
-    return jax.lax.scan(again, (fundamental, weigh(fundamental).sum()), None, length=6)[0][0]
+    start = (fundamental, fundamental, jnp.asarray(0.0, rays_a.dtype))
+    return jax.lax.scan(again, start, None, length=7)[0][1]
 
 
 def _gradient2(fundamental, rays_a, rays_b, slopes_a, slopes_b) -> Float[Array, " N"]:
@@ -305,12 +313,13 @@ def lens_table(
         first = View(points_a, lenses[0], half_diagonals[0])
         second = View(points_b, lenses[1], half_diagonals[1])
         parts = (first.rays, second.rays, first.slopes(), second.slopes())
-        fit = eight_point(parts[0], parts[1], weights)
-        for _ in range(3):
-            error = _sampson(fit, *parts)
-            weight = weights / (1.0 + (error / scale) ** 2) / _gradient2(fit, *parts)
+
+        def again(weight, _):
             fit = eight_point(parts[0], parts[1], weight)
-        error = _sampson(fit, *parts)
+            error = _sampson(fit, *parts)
+            return weights / (1.0 + (error / scale) ** 2) / _gradient2(fit, *parts), error
+
+        error = jax.lax.scan(again, weights, None, length=4)[1][-1]
         return (weights * jnp.log1p((error / scale) ** 2)).sum() / jnp.maximum(weights.sum(), 1.0)
 
     pairs = jnp.stack(jnp.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -58,7 +58,7 @@ class BrownModel(AbstractModel):
 
     def retract(self, cameras, constants, step):
         """A left rotation, everything else added; the focal length at most doubles or halves."""
-        turned = jax.vmap(lambda old, by: rotation.log(rotation.exp(by) @ rotation.exp(old)))(
+        turned = cameras[:, :3] + jax.vmap(lambda old, by: rotation.left_jacobian_inverse(old) @ by)(
             cameras[:, :3], jnp.clip(step[:, :3], -1.0, 1.0)
         )
         rest = cameras[:, 3:] + step[:, 3:].at[:, 3:5].set(jnp.clip(step[:, 6:8], -0.7, 0.7))

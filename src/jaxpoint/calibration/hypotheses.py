@@ -41,7 +41,7 @@ def upgraded(
 ) -> list[RigState]:
     """Distinct Euclidean rigs of a projective reconstruction, the most plausible lenses first."""
     count = len(projective.cameras)
-    views = _views(projective, lenses)
+    views = _views(projective.cameras, lenses.focals)
     visible = jnp.asarray(np.pad(kept, ((0, 0), (0, len(views.exists) - count))))
     roots, costs = candidates(views, jnp.asarray(_reference_pairs(kept)))
     costs = np.asarray(costs)
@@ -65,16 +65,25 @@ def upgraded(
     return states
 
 
-def _views(projective: Projective, lenses: Lenses) -> Views:
-    count = len(projective.cameras)
+def _views(cameras: np.ndarray, focals: np.ndarray | None) -> Views:
+    count = len(cameras)
     pad = padded_cameras(count) - count
-    focals = np.full(count, TYPICAL_FOCAL) if lenses.focals is None else lenses.focals
+    sigma = SIGMA_LOG_FOCAL if focals is None else SIGMA_KNOWN_FOCAL
+    focals = np.full(count, TYPICAL_FOCAL) if focals is None else focals
     return Views(
-        jnp.asarray(np.concatenate([projective.cameras, np.tile(np.eye(3, 4), (pad, 1, 1))])),
+        jnp.asarray(np.concatenate([cameras, np.tile(np.eye(3, 4), (pad, 1, 1))])),
         jnp.asarray(np.arange(count + pad) < count),
         jnp.asarray(np.log(np.append(focals, np.ones(pad)))),
-        jnp.asarray(SIGMA_LOG_FOCAL if lenses.focals is None else SIGMA_KNOWN_FOCAL),
+        jnp.asarray(sigma),
     )
+
+
+def compile_upgrade(recording: Recording, data: NormalisedTracks) -> None:
+    """Run the upgrade once on nothing, for its compilation."""
+    views = _views(np.tile(np.eye(3, 4), (recording.cameras, 1, 1)), None)
+    roots, _ = candidates(views, jnp.zeros((REFERENCE_PAIRS, 2), int))
+    frames, cameras = len(data.points), len(views.exists)
+    upgrade(roots[0], views, jnp.zeros((frames, 4)), jnp.zeros((frames, cameras), bool))
 
 
 def _reference_pairs(kept: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration.bundle import (
     ASPECT,
@@ -25,7 +26,6 @@ from jaxpoint.calibration.bundle import (
 )
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
 from jaxpoint.config import LensSettings
-from jaxpoint.geometry import rotation
 from jaxpoint.tracks import Tracks
 
 CAMERA_SIZES = (4, 6, 8, 12, 16, 24, 32, 48, 64)  # rigs are padded to these, so that few programs are compiled
@@ -80,7 +80,7 @@ class RigState:
     @property
     def rotation(self) -> np.ndarray:
         """cam_from_world (D, 3, 3)."""
-        return np.asarray(_rotations(self.cameras[:, :3], self.base))
+        return Rotation.from_rotvec(self.cameras[:, :3].copy()).as_matrix() @ self.base
 
     @property
     def positions(self) -> np.ndarray:
@@ -92,11 +92,6 @@ class RigState:
         cameras = self.cameras.copy()
         cameras[:, :3] = 0.0
         return RigState(cameras, self.rotation, self.points)
-
-
-@jax.jit
-def _rotations(vectors, base):
-    return jax.vmap(lambda vector, start: rotation.exp(vector) @ start)(vectors, base)
 
 
 def free_parameters(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> np.ndarray:
@@ -226,8 +221,7 @@ def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, ste
 
 
 @jax.jit
-def _projected(vectors, base, numbers, points):
-    turned = _rotations(vectors, base)
+def _projected(turned, numbers, points):
     model = BrownModel()
 
     def one(turn, rest, point):
@@ -240,5 +234,5 @@ def _projected(vectors, base, numbers, points):
 
 def project(state: RigState) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (N, D, 2) and depths (N, D) of the points."""
-    pixels, depth = _projected(state.cameras[:, :3], state.base, state.cameras[:, 3:], state.points)
+    pixels, depth = _projected(state.rotation, state.cameras[:, 3:], state.points)
     return np.asarray(pixels), np.asarray(depth)

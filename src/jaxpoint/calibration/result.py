@@ -75,6 +75,11 @@ class Calibration:
         return self.verdicts == Verdict.KEPT
 
     @property
+    def comparable(self) -> Bool[np.ndarray, "F C"]:
+        """The observations of frames that two cameras or more saw: only these can be believed or not."""
+        return self.tracks.visible & (self.verdicts != Verdict.FEW_VIEWS)
+
+    @property
     def errors(self) -> Float[np.ndarray, "F C"]:
         """Length of every residual, px."""
         return np.linalg.norm(self.residuals, axis=-1)

@@ -116,6 +116,15 @@ def _over_blocks(function, state, points, pixels):
     return jax.lax.map(lambda block: function(state, *block), (points, pixels))
 
 
+class _Eliminated(eqx.Module):
+    """What back-substitution needs of every block, kept from the elimination; leading axis NB."""
+
+    cross: Float[Array, "NB C p 3 B"]
+    inverse: Float[Array, "NB 3 3 B"]
+    gradient: Float[Array, "NB 3 B"]
+    costs: Float[Array, "NB B"]  # of every point, before the step
+
+
 class _Normal(eqx.Module):
     """The normal equations of one block of points."""
 
@@ -124,6 +133,7 @@ class _Normal(eqx.Module):
     cross: Float[Array, "C p 3 B"]
     points: Float[Array, "3 3 B"]
     point_gradient: Float[Array, "3 B"]
+    costs: Float[Array, " B"]  # the robust cost of each point
 
 
 class SchurState(eqx.Module):
@@ -155,26 +165,28 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     MAX_DAMPING: ClassVar[float] = 1e12
 
     def init(self, fn, y: Unknowns, args: Problem, options: dict[str, Any], f_struct, aux_struct, tags) -> SchurState:
+        """The state before the first step."""
         dtype = y.cameras.dtype
         return SchurState(
             jnp.asarray(self.start_damping, dtype),
-            _cost(self.model, y, args),
+            jnp.asarray(jnp.inf, dtype),
             jnp.asarray(0),
             jnp.asarray(0),
             jnp.asarray(False),
         )
 
     def step(self, fn, y: Unknowns, args: Problem, options: dict[str, Any], state: SchurState, tags):
-        trial, cost, reach = _trial(self.model, y, args, state.damping, self.project_points)
-        better = cost < state.cost  # False for NaN
-        decrease = jnp.where(better, state.cost - cost, 0.0)
+        """One trial: kept if it lowers the cost."""
+        trial, before, cost, reach = _trial(self.model, y, args, state.damping, self.project_points)
+        better = cost < before  # False for NaN
+        decrease = jnp.where(better, before - cost, 0.0)
         # A valley of the focal lengths lowers the cost by next to nothing while the cameras still travel.
-        small = (decrease <= self.rtol * state.cost + self.atol) & (reach <= self.xtol * state.cost + self.atol)
+        small = (decrease <= self.rtol * before + self.atol) & (reach <= self.xtol * before + self.atol)
         damping = jnp.where(better, jnp.maximum(state.damping * 0.1, 1e-12), state.damping * 4.0)
         new_y = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, y)
         new_state = SchurState(
             damping,
-            jnp.where(better, cost, state.cost),
+            jnp.where(better, cost, before),
             state.steps + 1,
             jnp.where(better, jnp.where(small, state.quiet + 1, 0), state.quiet),
             damping > self.MAX_DAMPING,
@@ -196,23 +208,17 @@ def _prior_cost(cameras, problem: Problem) -> Float[Array, ""]:
 
 def _point_costs(model, state, loss_scale, points, pixels, weights) -> Float[Array, " B"]:
     """The robust cost of each point of a block: sum of w rho(|r|^2) over the cameras."""
-    square = (model._block_residuals(state, points, pixels) ** 2).sum(axis=1)
-    loss = loss_scale**2 * jnp.log1p(square / loss_scale**2)
+    return _summed_loss(model._block_residuals(state, points, pixels), loss_scale, weights)
+
+
+def _summed_loss(residual: Float[Array, "C r B"], loss_scale, weights: Float[Array, "C B"]) -> Float[Array, " B"]:
+    loss = loss_scale**2 * jnp.log1p((residual**2).sum(axis=1) / loss_scale**2)
     return jnp.where(weights > 0, weights * loss, 0.0).sum(axis=0)
-
-
-def _cost(model, y: Unknowns, problem: Problem) -> Float[Array, ""]:
-    """The robust cost, priors included (not halved)."""
-    state = model.state(y.cameras, problem.constants)
-
-    def add(total, block):
-        return total + _point_costs(model, state, problem.loss_scale, *block).sum(), None
-
-    return jax.lax.scan(add, _prior_cost(y.cameras, problem), (y.points, problem.pixels, problem.weights))[0]
 
 
 def _normal(model, state, free, loss_scale, points, pixels, weights) -> _Normal:
     residual, for_camera, for_point = model._block_jacobians(state, points, pixels)
+    costs = _summed_loss(residual, loss_scale, weights)
     # A hidden observation may be anything, also infinite: it must not reach a product.
     seen = (weights > 0)[:, None]
     residual = jnp.where(seen, residual, 0.0)
@@ -230,6 +236,7 @@ def _normal(model, state, free, loss_scale, points, pixels, weights) -> _Normal:
         cross=(for_camera[:, :, :, None] * for_point[:, :, None]).sum(axis=1),
         points=(for_point[:, :, :, None] * for_point[:, :, None]).sum(axis=(0, 1)),
         point_gradient=(for_point * residual[:, :, None]).sum(axis=(0, 1)),
+        costs=costs,
     )
 
 
@@ -253,7 +260,10 @@ def _damped(points: Float[Array, "3 3 B"], damping) -> Float[Array, "3 3 B"]:
 
 
 def _reduced(model, y: Unknowns, problem: Problem, point_damping):
-    """Camera blocks (C, p, p), what eliminating the points takes from them (D, D), the gradient left (D,); D = C p."""
+    """Camera blocks (C, p, p), what eliminating the points takes from them (D, D), the gradient left (D,); D = C p.
+
+    And what the points' own step needs afterwards.
+    """
     state = model.state(y.cameras, problem.constants)
     cameras, size = y.cameras.shape
 
@@ -261,12 +271,12 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
         diagonal, gradient, product, moved = carry
         normal = _normal(model, state, problem.free, problem.loss_scale, *block)
         inverse = inverse_3x3(_damped(normal.points, point_damping))
-        solved = (normal.cross[:, :, :, None] * inverse[None, None]).sum(axis=2)
+        solved = (normal.cross[:, :, :, None] * inverse).sum(axis=2)
         left = solved.reshape(cameras * size, -1)
-        right = normal.cross.reshape(cameras * size, -1)
-        product = product + left @ right.T
+        product = product + left @ normal.cross.reshape(cameras * size, -1).T
         moved = moved + left @ normal.point_gradient.reshape(-1)
-        return (diagonal + normal.cameras, gradient + normal.camera_gradient, product, moved), None
+        kept = _Eliminated(normal.cross, inverse, normal.point_gradient, normal.costs)
+        return (diagonal + normal.cameras, gradient + normal.camera_gradient, product, moved), kept
 
     dtype, total = y.cameras.dtype, cameras * size
     start = (
@@ -276,19 +286,16 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
         jnp.zeros(total, dtype),
     )
     blocks = (y.points, problem.pixels, problem.weights)
-    (diagonal, gradient, product, moved), _ = jax.lax.scan(add, start, blocks)
+    (diagonal, gradient, product, moved), kept = jax.lax.scan(add, start, blocks)
     prior = jnp.where(problem.free, problem.prior_weight, 0.0)
     gradient = gradient + prior * (y.cameras - problem.prior_mean)
-    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)[None]
-    return (diagonal, product), gradient.reshape(-1) - moved
+    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)
+    return diagonal, product, gradient.reshape(-1) - moved, kept
 
 
-def _camera_step(
-    model, y: Unknowns, problem: Problem, damping, point_damping
-) -> tuple[Float[Array, "C p"], Float[Array, ""]]:
+def _camera_step(diagonal, product, gradient, damping) -> tuple[Float[Array, "C p"], Float[Array, ""]]:
     """The damped step of the cameras, and the change of cost that its parts would make one by one."""
-    (diagonal, product), gradient = _reduced(model, y, problem, point_damping)
-    cameras, size = y.cameras.shape
+    cameras, size, _ = diagonal.shape
     own = jnp.diagonal(diagonal, axis1=1, axis2=2)
     scale = jnp.where(own > 0, own, 1.0)
     matrix = -product.reshape(cameras, size, cameras, size)
@@ -305,33 +312,47 @@ def _camera_step(
 
 
 def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
-    """The unknowns after one damped step, their cost, and the reach of the camera step (see `_camera_step`).
+    """The unknowns after one damped step, the cost before and after, and the reach of the camera step.
 
     Every point whose own cost would grow stays where it is: one wild point of a robust problem must not make the
     whole step fail.
     """
     point_damping = jnp.zeros_like(damping) if project_points else damping
-    step, reach = _camera_step(model, y, problem, damping, point_damping)
+    diagonal, product, gradient, kept = _reduced(model, y, problem, point_damping)
+    step, reach = _camera_step(diagonal, product, gradient, damping)
     moved = model.retract(y.cameras, problem.constants, step)
-    ahead = model.state(moved, problem.constants)
-    state = ahead if project_points else model.state(y.cameras, problem.constants)
+    state = model.state(moved, problem.constants)
 
     def update(total, block):
-        points, pixels, weights = block
-        normal = _normal(model, state, problem.free, problem.loss_scale, *block)
-        gradient = normal.point_gradient
-        if not project_points:
-            gradient = gradient + (normal.cross * step[:, :, None, None]).sum(axis=(0, 1))
-        inverse = inverse_3x3(_damped(normal.points, point_damping))
-        trial = points - (inverse * gradient[None]).sum(axis=1)
-        before = _point_costs(model, ahead, problem.loss_scale, points, pixels, weights)
-        after = _point_costs(model, ahead, problem.loss_scale, trial, pixels, weights)
-        better = after < before
-        return total + jnp.where(better, after, before).sum(), jnp.where(better[None], trial, points)
+        points, pixels, weights, eliminated = block
+        if project_points:
+            trial = points + _point_step(model, state, problem.loss_scale, points, pixels, weights, point_damping)
+        else:
+            pull = eliminated.gradient + (eliminated.cross * step[:, :, None, None]).sum(axis=(0, 1))
+            trial = points - (eliminated.inverse * pull[None]).sum(axis=1)
+        both = jnp.concatenate([points, trial], axis=1)
+        seen, twice = jnp.concatenate([pixels, pixels], axis=2), jnp.concatenate([weights, weights], axis=1)
+        stay, go = jnp.split(_point_costs(model, state, problem.loss_scale, both, seen, twice), 2)
+        better = go < stay
+        return total + jnp.where(better, go, stay).sum(), jnp.where(better[None], trial, points)
 
-    start = _prior_cost(moved, problem)
-    cost, points = jax.lax.scan(update, start, (y.points, problem.pixels, problem.weights))
-    return Unknowns(moved, points), cost, reach
+    blocks = (y.points, problem.pixels, problem.weights, kept)
+    cost, points = jax.lax.scan(update, _prior_cost(moved, problem), blocks)
+    before = _prior_cost(y.cameras, problem) + kept.costs.sum()
+    return Unknowns(moved, points), before, cost, reach
+
+
+def _point_step(model, state, loss_scale, points, pixels, weights, damping) -> Float[Array, "3 B"]:
+    """One damped Gauss-Newton step of the points alone."""
+    residual, jacobian = model._block_point_jacobians(state, points, pixels)
+    weight = weights / (1.0 + (residual**2).sum(axis=1) / loss_scale**2)
+    root = jnp.where(weights > 0, jnp.sqrt(weight), 0.0)[:, None]
+    seen = (weights > 0)[:, None]
+    residual = jnp.where(seen, residual, 0.0) * root
+    jacobian = jnp.where(seen[:, :, None], jacobian, 0.0) * root[:, :, None]
+    normal = (jacobian[:, :, :, None] * jacobian[:, :, None]).sum(axis=(0, 1))
+    gradient = (jacobian * residual[:, :, None]).sum(axis=(0, 1))
+    return -(inverse_3x3(_damped(normal, damping)) * gradient[None]).sum(axis=1)
 
 
 def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Float[Array, "NB 3 B"]:
@@ -343,16 +364,8 @@ def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int
 
         def step(carry, _):
             points, damping, cost = carry
-            residual, jacobian = model._block_point_jacobians(state, points, pixels)
-            weight = weights / (1.0 + (residual**2).sum(axis=1) / problem.loss_scale**2)
-            root = jnp.where(weights > 0, jnp.sqrt(weight), 0.0)[:, None]
-            seen = (weights > 0)[:, None]
-            residual = jnp.where(seen, residual, 0.0) * root
-            jacobian = jnp.where(seen[:, :, None], jacobian, 0.0) * root[:, :, None]
-            normal = (jacobian[:, :, :, None] * jacobian[:, :, None]).sum(axis=(0, 1))
-            gradient = (jacobian * residual[:, :, None]).sum(axis=(0, 1))
-            inverse = inverse_3x3(_damped(normal, damping[None, None]))
-            trial = points - (inverse * gradient[None]).sum(axis=1)
+            move = _point_step(model, state, problem.loss_scale, points, pixels, weights, damping[None, None])
+            trial = points + move
             after = _point_costs(model, state, problem.loss_scale, trial, pixels, weights)
             better = after < cost
             damping = jnp.where(better, damping * 0.1, damping * 10.0)

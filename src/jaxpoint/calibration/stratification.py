@@ -161,7 +161,7 @@ def candidates(views: Views, pairs: Int[Array, "R 2"]) -> tuple[Float[Array, "K 
     """
     starts = jax.lax.map(lambda pair: focal_grid(views, pair[0], pair[1]), pairs).reshape(-1, 4, 3)
     starts = jnp.concatenate([starts, linear_quadric(views)[None]])
-    roots, costs = jax.vmap(lambda root: refine(root, views))(starts)
+    roots, costs = jax.lax.map(lambda root: refine(root, views), starts)
     order = jnp.argsort(costs)
     return roots[order], costs[order]
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxpoint.calibration.bundle import padded_frames
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
-from jaxpoint.epipolar import lens_table, robust_fundamental
+from jaxpoint.epipolar import draw_samples, lens_table, robust_fundamental
 from jaxpoint.tracks import Tracks
 
 LENS_GRID = np.linspace(-0.6, 0.2, 9)  # division-model parameters per half diagonal
@@ -67,18 +66,18 @@ def two_view_geometry(
 ) -> TwoViewGeometry:
     """Division-model lenses from all pairs together, then every pair's F, then the vote (DESIGN "Self-calibration")."""
     pairs = _usable_pairs(data, settings.min_shared_frames)
-    keys = jax.random.split(jax.random.key(seed), 2 * max(len(pairs), 1))
+    rng = np.random.default_rng(seed)
     cameras = data.points.shape[1]
     lenses = np.zeros(cameras)
     total = len(pairs) * (2 if settings.division_model else 1)
     if settings.division_model:
         tables = {}
         for number, pair in enumerate(pairs):
-            tables[pair] = _pair_lens_table(data, pair, settings, keys[number])
+            tables[pair] = _pair_lens_table(data, pair, settings, rng)
             if progress:
                 progress(number + 1, total)
         lenses = joint_lenses(tables, cameras)
-    return _with_lenses(data, pairs, lenses, settings, keys[len(pairs) :], progress, total)
+    return _with_lenses(data, pairs, lenses, settings, rng, progress, total)
 
 
 def _usable_pairs(data: NormalisedTracks, least: int) -> list[tuple[int, int]]:
@@ -92,26 +91,26 @@ def _threshold(data: NormalisedTracks, pair, settings: EpipolarSettings) -> floa
     return settings.threshold_px * float(data.widths[list(pair)].mean()) / 1280.0
 
 
-def _fit(data, pair, settings, key, lenses, threshold):
+def _fit(data, pair, settings, rng, lenses, threshold):
     i, j = pair
+    seen = data.visible[:, i] & data.visible[:, j]
     return robust_fundamental(
-        key,
+        draw_samples(rng, seen, len(FIRST_LENSES), -(-settings.samples // len(FIRST_LENSES))),
         data.points[:, i],
         data.points[:, j],
-        data.visible[:, i] & data.visible[:, j],
+        seen,
         data.half_diagonals[[i, j]],
         lenses,
         np.float64(threshold),
-        samples=-(-settings.samples // len(FIRST_LENSES)),
         method=settings.method,
     )
 
 
-def _pair_lens_table(data, pair, settings, key) -> np.ndarray:
+def _pair_lens_table(data, pair, settings, rng) -> np.ndarray:
     """Summed robust cost of the pair for every two lenses of the grid."""
     i, j = pair
     threshold = _threshold(data, pair, settings)
-    loose = np.asarray(_fit(data, pair, settings, key, FIRST_LENSES, LOOSE * threshold).inlier)
+    loose = np.asarray(_fit(data, pair, settings, rng, FIRST_LENSES, LOOSE * threshold).inlier)
     table = lens_table(
         data.points[:, i],
         data.points[:, j],
@@ -152,14 +151,14 @@ def _parabola_minimum(cost: np.ndarray) -> float:
     return float(LENS_GRID[best] + np.clip(offset, -1.0, 1.0) * (LENS_GRID[1] - LENS_GRID[0]))
 
 
-def _with_lenses(data, pairs, lenses, settings, keys, progress, total) -> TwoViewGeometry:
+def _with_lenses(data, pairs, lenses, settings, rng, progress, total) -> TwoViewGeometry:
     cameras = data.points.shape[1]
     fundamentals, agree, count = {}, np.zeros(data.visible.shape), np.zeros(data.visible.shape)
     shared, inliers = np.zeros((cameras, cameras), int), np.zeros((cameras, cameras), int)
     for number, (i, j) in enumerate(pairs):
         both = data.visible[:, i] & data.visible[:, j]
         offered = np.tile(lenses[[i, j]], (len(FIRST_LENSES), 1))
-        fit = _fit(data, (i, j), settings, keys[number], offered, _threshold(data, (i, j), settings))
+        fit = _fit(data, (i, j), settings, rng, offered, _threshold(data, (i, j), settings))
         good = np.asarray(fit.inlier)
         fundamentals[i, j] = np.asarray(fit.fundamental)
         shared[i, j] = shared[j, i] = both.sum()
