@@ -181,3 +181,17 @@ def test_the_gate_names_what_failed(solved_room):
     assert isinstance(error, QualityError)
     assert "above the 0.1 px allowed" in str(error)
     assert "Only 9" in str(judge(calibration, CalibrateSettings(min_kept=0.999)))
+
+
+def test_frames_that_one_camera_saw_fail_no_gate(solved_room):
+    calibration = solved_room[1]
+    alone = np.zeros_like(calibration.verdicts, dtype=bool)
+    alone[::2, 0] = calibration.tracks.visible[::2, 0]
+    verdicts = np.where(alone, Verdict.FEW_VIEWS, calibration.verdicts)
+    verdicts[::2, 1:] = Verdict.HIDDEN
+    visible = verdicts != Verdict.HIDDEN
+    sparse = replace(
+        calibration, verdicts=verdicts, tracks=eqx.tree_at(lambda t: t.visible, calibration.tracks, visible)
+    )
+    assert sparse.kept.sum() < 0.8 * visible.sum()
+    assert judge(sparse, CalibrateSettings(min_kept=0.9)) is None

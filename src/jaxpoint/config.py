@@ -109,7 +109,8 @@ class CalibrateSettings:
     max_mean_px: Positive = 1.0
     """Quality gate: a mean reprojection error above this fails the calibration (results are kept and marked)."""
     min_kept: Fraction = 0.7
-    """Quality gate: a smaller fraction of kept observations fails the calibration."""
+    """Quality gate: a smaller fraction of kept observations fails the calibration; those of frames that only one
+    camera saw do not count."""
     seed: Count = 0
     """Seed of everything drawn at random; the same seed gives the same calibration."""
 

@@ -87,11 +87,12 @@ def judge(
             f"The mean reprojection error is {mean} px, above the {settings.max_mean_px:g} px allowed; the results are "
             "kept and marked. The report shows which camera disagrees."
         )
-    fraction = calibration.kept.sum() / max(calibration.tracks.visible.sum(), 1)
+    fraction = calibration.kept.sum() / max(calibration.comparable.sum(), 1)
     if fraction < settings.min_kept:
         return QualityError(
-            f"Only {fraction:.0%} of the observations fit, below the {settings.min_kept:.0%} asked for; the results "
-            "are kept and marked. The report shows which camera or time disagrees."
+            f"Only {fraction:.0%} of the observations in frames of two or more views fit, below the "
+            f"{settings.min_kept:.0%} asked for; the results are kept and marked. The report shows which camera or "
+            "time disagrees."
         )
     aligned, allowed = calibration.alignment, (align or AlignSettings()).max_rms_mm
     if aligned is not None and aligned.rms_mm > allowed:

@@ -210,7 +210,7 @@ def _tiles(summary: Summary, calibration: Calibration, seconds: Mapping[str, Any
     tiles = [
         (px(summary.mean_px), "mean error, kept"),
         (px(summary.mean_all_px), "mean error, all"),
-        (f"{summary.kept_fraction:.1%}", f"of {int(summary.visible.sum()):,} observations kept"),
+        (f"{summary.kept_fraction:.1%}", f"of {int(summary.comparable.sum()):,} kept (frames of two views)"),
         (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.frames:,} frames used"),
         (px(summary.sigma_px, 2), "noise of a coordinate"),
         ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.unit == "m" else "not aligned"),

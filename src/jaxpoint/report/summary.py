@@ -95,9 +95,14 @@ class Summary:
         return self.verdicts == Verdict.KEPT
 
     @property
+    def comparable(self) -> Bool[np.ndarray, "F C"]:
+        """Observations of frames that two cameras or more saw."""
+        return self.visible & (self.verdicts != Verdict.FEW_VIEWS)
+
+    @property
     def judged(self) -> Bool[np.ndarray, "F C"]:
         """Observations that have a residual: seen, in a frame whose point is known from two cameras or more."""
-        return self.visible & self.point_valid[:, None] & (self.verdicts != Verdict.FEW_VIEWS)
+        return self.comparable & self.point_valid[:, None]
 
     @property
     def rejected(self) -> Bool[np.ndarray, "F C"]:
@@ -111,8 +116,8 @@ class Summary:
 
     @property
     def kept_fraction(self) -> float:
-        """Kept observations as a fraction of all that were given."""
-        return float(self.kept.sum() / max(self.visible.sum(), 1))
+        """Kept observations as a fraction of those that can be compared with another camera's."""
+        return float(self.kept.sum() / max(self.comparable.sum(), 1))
 
     @property
     def mean_px(self) -> float:

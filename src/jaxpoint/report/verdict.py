@@ -56,7 +56,7 @@ def judge_summary(
     doubtful = [check for check in checks if check.level == "care"]
     facts = (
         f"on average the cameras agree to {px(summary.mean_px, 2)} on where the light was "
-        f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.visible.sum():,} "
+        f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.comparable.sum():,} "
         f"observations fit (at least {settings.min_kept:.0%})"
     )
     if failed:
@@ -98,7 +98,7 @@ def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettin
 
 def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
     """What does not fail a calibration but makes it doubtful."""
-    names, seen = summary.names, np.maximum(summary.visible.sum(axis=0), 1)
+    names, seen = summary.names, np.maximum(summary.comparable.sum(axis=0), 1)
     kept = summary.kept.sum(axis=0) / seen
     means = np.array([mean(summary.errors[summary.kept[:, c], c]) for c in range(len(names))])
     worst, fewest = int(np.argmax(np.nan_to_num(means, nan=np.inf))), int(kept.argmin())
