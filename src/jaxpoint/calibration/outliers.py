@@ -115,10 +115,14 @@ def settle(
 
 
 def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings) -> Settled:
-    """Rounds at the noise level. While the set still changes the solves are rough; the last ones are exact."""
+    """Rounds at the noise level. While the set still changes the solves are rough; the last ones are exact.
+
+    Now and then an observation at the very threshold goes in and out for ever: a set that comes back is the end too.
+    """
     parameters = int(freedom.free.sum())
     sigma = robust_sigma(judged.errors, judged.kept, parameters)
     converged, rounds, exact = False, 0, False
+    before: set[bytes] = set()
     while rounds < settings.max_rounds and not converged:
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
@@ -127,7 +131,9 @@ def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, 
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
         again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
         changed = int((again.kept != judged.kept).sum())
-        converged = exact and changed == 0 and end.settled
+        converged = exact and end.settled and (changed == 0 or again.kept.tobytes() in before)
+        if exact:
+            before.add(again.kept.tobytes())
         exact = exact or changed <= FEW_CHANGES * judged.kept.sum()
         judged = again
     return Settled(judged, sigma, robust_cost(recording, judged.state), converged, rounds)

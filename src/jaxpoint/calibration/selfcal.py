@@ -19,7 +19,7 @@ from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Calibration, PairTable, Stage, Verdict
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
-from jaxpoint.calibration.warmup import warm_up
+from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
@@ -70,7 +70,7 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
     pairs = pair_table(tracks)
     check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
     recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
-    warm_up(recording, data)
+    compiling = WarmUp(recording, data)
     epipolar = settings.epipolar
     if intrinsics is not None:
         epipolar = replace(epipolar, division_model=False)
@@ -85,6 +85,7 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
     lenses = Lenses.of(data, geometry, intrinsics)
     inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
     progress("first solution", 0, 1)
+    compiling.wait()
     candidates, stages = starts(inputs, settings.init)
     progress("first solution", 1, 1)
     clock.append(time.perf_counter())

@@ -16,11 +16,24 @@ from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.twoview import NormalisedTracks
 
+_compiled: set[tuple[int, ...]] = set()  # shapes whose programs this process has
 
-def warm_up(recording: Recording, data: NormalisedTracks) -> None:
-    """Start compiling the programs of the first solution and of the adjustment, in the order of their use."""
-    for task in (_first_solution, _adjustment):
-        threading.Thread(target=_run, args=(task, recording, data), daemon=True).start()
+
+class WarmUp:
+    """Compilations under way. Wait for them before calling the programs, or they are compiled twice."""
+
+    def __init__(self, recording: Recording, data: NormalisedTracks):
+        shape = recording.visible.shape
+        tasks = () if shape in _compiled else (_first_solution, _adjustment)
+        _compiled.add(shape)
+        self._threads = [threading.Thread(target=_run, args=(task, recording, data), daemon=True) for task in tasks]
+        for thread in self._threads:
+            thread.start()
+
+    def wait(self) -> None:
+        """Return when everything is compiled."""
+        for thread in self._threads:
+            thread.join()
 
 
 def _run(task, recording, data) -> None:
