@@ -117,12 +117,12 @@ def _over_blocks(function, state, points, pixels):
 
 
 class _Eliminated(eqx.Module):
-    """What back-substitution needs of every block, kept from the elimination; leading axis NB."""
+    """What back-substitution needs of every block, kept from the elimination; stacked over NB blocks."""
 
-    cross: Float[Array, "NB C p 3 B"]
-    inverse: Float[Array, "NB 3 3 B"]
-    gradient: Float[Array, "NB 3 B"]
-    costs: Float[Array, "NB B"]  # of every point, before the step
+    cross: Float[Array, "*NB C p 3 B"]
+    inverse: Float[Array, "*NB 3 3 B"]
+    gradient: Float[Array, "*NB 3 B"]
+    costs: Float[Array, "*NB B"]  # of every point, before the step
 
 
 class _Normal(eqx.Module):
@@ -271,7 +271,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
         diagonal, gradient, product, moved = carry
         normal = _normal(model, state, problem.free, problem.loss_scale, *block)
         inverse = inverse_3x3(_damped(normal.points, point_damping))
-        solved = (normal.cross[:, :, :, None] * inverse).sum(axis=2)
+        solved = (normal.cross[:, :, :, None] * inverse[None, None]).sum(axis=2)
         left = solved.reshape(cameras * size, -1)
         product = product + left @ normal.cross.reshape(cameras * size, -1).T
         moved = moved + left @ normal.point_gradient.reshape(-1)
@@ -289,7 +289,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
     (diagonal, gradient, product, moved), kept = jax.lax.scan(add, start, blocks)
     prior = jnp.where(problem.free, problem.prior_weight, 0.0)
     gradient = gradient + prior * (y.cameras - problem.prior_mean)
-    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)
+    diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)[None]
     return diagonal, product, gradient.reshape(-1) - moved, kept
 
 
