@@ -104,8 +104,7 @@ def chained(
     poses = chain(geometry, data.points, kept, focals)
     if poses is None:
         return []
-    points = np.zeros((len(data.points), 3))
-    return [rig_state(recording, data, *poses, focals, points, lenses, geometry.lenses)]
+    return [rig_state(recording, data, *poses, focals, None, lenses, geometry.lenses)]
 
 
 def rig_state(
@@ -114,7 +113,7 @@ def rig_state(
     rotation: np.ndarray,
     translation: np.ndarray,
     focal: np.ndarray,
-    points: np.ndarray,
+    points: np.ndarray | None,
     lenses: Lenses,
     division: np.ndarray,
 ) -> RigState:
@@ -123,7 +122,7 @@ def rig_state(
     Args:
         rotation, translation: cam_from_world (C, 3, 3), (C, 3).
         focal: (C,) half diagonals.
-        points: (N, 3).
+        points: (N, 3), or None where there are none yet (they come out as zeros).
         lenses: known intrinsics, where there are any, replace the focal lengths.
         division: (C,) division-model parameters.
     """
@@ -134,7 +133,10 @@ def rig_state(
     middle = positions.mean(axis=0)
     length = np.sqrt(((positions - middle) ** 2).sum(axis=1).mean()) or 1.0
     numbers[:count, 3:6] = (translation + np.einsum("cij,j->ci", rotation, middle)) / length
-    points = np.clip((np.nan_to_num(points) - middle) / length, -1e3, 1e3)
+    if points is None:
+        points = np.zeros((len(data.points), 3))
+    else:
+        points = np.clip((np.nan_to_num(points) - middle) / length, -1e3, 1e3)
     numbers[:, FOCAL] = np.log(1000.0)
     numbers[:, CENTER] = (recording.image_sizes - 1) / 2.0
     if lenses.known is not None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from jaxpoint.calibration.bundle import RADIAL, SIZE
 from jaxpoint.calibration.factorization import Projective, factorise, refine
 from jaxpoint.calibration.hypotheses import Lenses, chained, upgraded
 from jaxpoint.calibration.outliers import FIRST_LOSS_PX, robust_cost
@@ -75,6 +76,7 @@ def starts(inputs: Inputs, method: str) -> tuple[list[Start], list[Stage]]:
 def _tried(inputs: Inputs, method: str, state: RigState) -> Start:
     """A short robust adjustment on what the pairs believe, then the cost over everything."""
     recording = inputs.recording
+    state = _without_held_bends(state, inputs.freedom)
     kept = np.pad(inputs.kept, ((0, 0), (0, recording.visible.shape[1] - recording.cameras)))
     if not state.points.any():
         from jaxpoint.calibration.consensus import consensus
@@ -84,6 +86,14 @@ def _tried(inputs: Inputs, method: str, state: RigState) -> Start:
     loss = FIRST_LOSS_PX * recording.scale
     end = adjust(recording, state, kept, inputs.freedom, loss_scale=loss, steps=25, rtol=1e-4)
     return Start(method, end.state, robust_cost(recording, end.state))
+
+
+def _without_held_bends(state: RigState, freedom: Freedom) -> RigState:
+    """Lens coefficients that do not move stand at their prior (0, or what is known), not at the pairs' guess."""
+    cameras = state.cameras.copy()
+    bends = slice(RADIAL.start, SIZE)
+    cameras[:, bends] = np.where(freedom.free, cameras, freedom.prior_mean)[:, bends]
+    return RigState(cameras, state.base, state.points)
 
 
 def _factorisation(inputs: Inputs) -> tuple[list[RigState], list[Stage]]:
