@@ -33,7 +33,7 @@ def test_a_room_is_solved_as_from_the_truth(easy):
     assert 0.98 < easy.ratio < 1.001
     assert 0.1 < easy.reference_mm < 30
     assert easy.outliers > 0
-    assert easy.found >= 0.95 * easy.outliers
+    assert easy.found >= 0.9 * easy.outliers
     assert easy.lost < 0.02 * easy.good
     # The noise that was drawn is the noise that is found.
     assert easy.sigma_px == pytest.approx(easy.noise_px, rel=0.1)

@@ -15,12 +15,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.calibration.factorization import Projective, finished
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, fundamental
 from jaxpoint.epipolar import lift
+from jaxpoint.geometry.arrays import AnyArray
 
 TUPLES = 1024  # quadruples of frames whose common subspace is sought
 
 
 def depth_ratios(
-    matrix: Float[Array, "3 3"], rays_i: Float[Array, "N 3"], rays_j: Float[Array, "N 3"]
+    matrix: Float[AnyArray, "3 3"], rays_i: Float[AnyArray, "N 3"], rays_j: Float[AnyArray, "N 3"]
 ) -> Float[Array, " N"]:
     """lambda_i / lambda_j of every match (thesis eq. 5.6), up to one factor for the pair.
 
