@@ -314,6 +314,7 @@ def summary(rows: list[Row]) -> dict:
         "good_lost": total("lost") / max(total("good"), 1),
         "errors": sum(row.verdict == "error" for row in rows),
         "marked_by_a_gate": sum(row.verdict == "gate" for row in rows),
+        "right_but_marked": sum(row.verdict == "gate" and row.right for row in rows),
         "wrong_called_good": sum(not row.right for row in trusted),
         "median_seconds": float(np.median([row.seconds for row in rows])) if rows else None,
         "not_right": [asdict(row) for row in sorted(rows, key=lambda row: row.seed) if not row.right],
@@ -341,6 +342,7 @@ def markdown(figures: dict) -> str:
         ("testable gross outliers found", f"{figures['outliers_found']:.2%}", ">= 95 %"),
         ("testable good observations lost", f"{figures['good_lost']:.2%}", "< 1 %"),
         ("ended in an error, or marked by a gate", f"{figures['errors']}, {figures['marked_by_a_gate']}", "the rest"),
+        ("right, but marked by a gate", str(figures["right_but_marked"]), ""),
         ("wrong rigs called good", str(figures["wrong_called_good"]), "0"),
     ]
     lines = ["| what | found | wanted |", "|---|---|---|", *(f"| {' | '.join(line)} |" for line in targets)]

@@ -74,13 +74,15 @@ def test_a_wrong_rig_called_good_is_told_from_one_that_was_marked():
             row(2, centres_mm=9.0),
             row(3, mirrored=True),
             row(4, ratio=2.0, verdict="gate", remark="too large"),
+            row(6, verdict="gate", remark="1 px is 1 px"),
             rooms.Row(5, 4, "wall", 0.7, 0.5, 0.05, "error", 0.1, remark="too few"),
         ]
     )
-    assert table["rooms"] == 6
-    assert table["cost_within_1_percent"] == 3
-    assert table["centres_within_3_times"] == 4
-    assert table["mirrored"] == table["errors"] == table["marked_by_a_gate"] == 1
+    assert table["rooms"] == 7
+    assert table["cost_within_1_percent"] == 4
+    assert table["centres_within_3_times"] == 5
+    assert table["mirrored"] == table["errors"] == table["right_but_marked"] == 1
+    assert table["marked_by_a_gate"] == 2
     assert table["wrong_called_good"] == 3
     assert table["outliers_found"] == pytest.approx(39 / 40)
     assert [line["seed"] for line in table["not_right"]] == [1, 2, 3, 4, 5]
