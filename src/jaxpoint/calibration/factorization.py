@@ -12,14 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxpoint.calibration.bundle import BLOCK, LEAST_SQUARES, from_blocks, solve, to_blocks
-from jaxpoint.calibration.projective import PoseModel, ProjectiveModel
+from jaxpoint.calibration.projective import ProjectiveModel
 from jaxpoint.calibration.recording import padded_cameras
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
 from jaxpoint.calibration.twoview import NormalisedTracks, undistorted
 
 LENS_SIGMA = 0.1  # of a division-model parameter in the projective adjustment
-FACTORISE = SchurLevenbergMarquardt(PoseModel(), rtol=1e-5, start_damping=1e-2, project_points=True)
-ADJUST = SchurLevenbergMarquardt(ProjectiveModel(), rtol=1e-5, start_damping=1e-3)
+SOLVER = SchurLevenbergMarquardt(ProjectiveModel(), rtol=1e-5, start_damping=1e-2, project_points=True)
 
 
 @dataclass(frozen=True)
@@ -46,22 +45,20 @@ def factorise(data: NormalisedTracks, lenses: np.ndarray, kept: np.ndarray, rng:
     cameras = data.points.shape[1]
     start = rng.normal(size=(cameras, 3, 4))
     start[:, 2] = [0.0, 0.0, 0.0, 1.0] + 0.1 * start[:, 2]
-    problem, unknowns = _problem(points, weights, start.reshape(cameras, 12), np.zeros((len(points), 3)))
-    end = solve(FACTORISE, unknowns, problem)
-    found = np.asarray(end.cameras)[:cameras].reshape(cameras, 3, 4)
+    problem, unknowns = _problem(data, points, weights, start, np.zeros(cameras), np.zeros((len(points), 3)))
+    end = solve(SOLVER, unknowns, problem)
+    found = np.asarray(end.cameras)[:cameras, :12].reshape(cameras, 3, 4)
     return finished(data, found, from_blocks(end.points), lenses, kept, float(end.cost))
 
 
 def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px: float) -> Projective:
     """Projective bundle adjustment: cameras, points and one lens parameter a camera, Cauchy loss."""
     cameras = len(start.cameras)
-    numbers = np.concatenate([start.cameras.reshape(cameras, 12), start.lenses[:, None]], axis=1)
     seen = start.points[:, 3:] != 0  # a frame that nobody saw must not spread NaN
     points = np.where(seen, start.points[:, :3], 0.0) / np.where(seen, start.points[:, 3:], 1.0)
-    problem, unknowns = _problem(
-        data.points, _usable(kept).astype(float), numbers, points, data.half_diagonals, loss_px
-    )
-    end = solve(ADJUST, unknowns, problem)
+    weights = _usable(kept).astype(float)
+    problem, unknowns = _problem(data, data.points, weights, start.cameras, start.lenses, points, loss_px)
+    end = solve(SOLVER, unknowns, problem)
     found = np.asarray(end.cameras)[:cameras]
     return finished(
         data, found[:, :12].reshape(cameras, 3, 4), from_blocks(end.points), found[:, 12], kept, float(end.cost)
@@ -72,28 +69,32 @@ def _usable(kept: np.ndarray) -> np.ndarray:
     return kept & (kept.sum(axis=1) >= 2)[:, None]
 
 
-def _problem(pixels, weights, numbers, points, constants=None, loss=LEAST_SQUARES) -> tuple[Problem, Unknowns]:
-    """Blocks padded to one of few rig sizes. Lens parameters, where there are any, are drawn to their start."""
-    cameras, size = numbers.shape
+def _problem(data, pixels, weights, projections, lenses, points, loss_px=None) -> tuple[Problem, Unknowns]:
+    """Blocks padded to one of few rig sizes: the adjustment with this loss, or without one the factorisation.
+
+    In the adjustment the lens parameters are free, drawn to where they start.
+    """
+    cameras = len(projections)
     pad = padded_cameras(cameras) - cameras
 
     def widened(array, axis):
         return np.pad(array, [(0, pad if i == axis else 0) for i in range(array.ndim)])
 
-    free = np.zeros((cameras + pad, size), bool)
-    free[:cameras] = True
-    weight = np.zeros((cameras + pad, size))
-    weight[:cameras, 12:] = 1.0 / LENS_SIGMA**2
-    numbers = widened(numbers, 0)
-    constants = np.zeros((cameras + pad, 0)) if constants is None else widened(constants, 0)
+    adjusting = loss_px is not None
+    numbers = widened(np.concatenate([projections.reshape(cameras, 12), lenses[:, None]], axis=1), 0)
+    free = np.zeros(numbers.shape, bool)
+    free[:cameras, : 13 if adjusting else 12] = True
+    weight = np.zeros(numbers.shape)
+    weight[:cameras, 12] = 1.0 / LENS_SIGMA**2 if adjusting else 0.0
+    flags = np.full(cameras + pad, 0.0 if adjusting else 1.0)
     problem = Problem(
         jnp.asarray(to_blocks(widened(pixels, 1))),
         jnp.asarray(to_blocks(widened(weights, 1))),
-        jnp.asarray(constants),
+        (jnp.asarray(widened(data.half_diagonals, 0)), jnp.asarray(flags)),
         jnp.asarray(free),
         jnp.asarray(numbers),
         jnp.asarray(weight),
-        jnp.asarray(float(loss)),
+        jnp.asarray(float(loss_px if adjusting else LEAST_SQUARES)),
         jnp.asarray(100),
     )
     return problem, Unknowns(jnp.asarray(numbers), jnp.asarray(to_blocks(points, BLOCK)))

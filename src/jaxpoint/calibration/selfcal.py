@@ -114,16 +114,25 @@ def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSe
     recording = inputs.recording
     expected = inputs.kept.sum()
     best = settle(recording, candidates[0].state, inputs.freedom, settings.outliers)
+    tried = [candidates[0].state]
     for candidate in candidates[1:]:
         doubtful = best.judged.kept.sum() < DOUBTFUL * expected or not best.converged
         if not doubtful or candidate.cost > HOPELESS * candidates[0].cost:
             break
+        if any(_alike(candidate.state, other) for other in tried):
+            continue
+        tried.append(candidate.state)
         other = settle(recording, candidate.state, inputs.freedom, settings.outliers)
         best = other if other.cost < best.cost else best
     if not best.converged:
         again = settle(recording, best.judged.state, inputs.freedom, settings.outliers)
         best = again if again.cost < best.cost else best
     return best
+
+
+def _alike(first: RigState, second: RigState) -> bool:
+    """Whether two starts have the same focal lengths within 5 %, and so lead to the same rig."""
+    return bool(np.abs(first.cameras[:, FOCAL] - second.cameras[:, FOCAL]).max() < 0.05)
 
 
 def _pair_stage(geometry: TwoViewGeometry, names: tuple[str, ...]) -> Stage:

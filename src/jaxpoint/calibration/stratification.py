@@ -7,6 +7,8 @@ the image centre. Coordinates: pixels from the image centre over half the image 
 
 from __future__ import annotations
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -151,7 +153,11 @@ def refine(root: Float[Array, "4 3"], views: Views) -> tuple[Float[Array, "4 3"]
     return solution.value, jnp.where(jnp.isfinite(cost), cost, HUGE**2)
 
 
-@eqx.filter_jit
+# These two run once or twice: quick to compile is worth more than quick to run.
+_compiled_quickly = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
+@_compiled_quickly
 def candidates(views: Views, pairs: Int[Array, "R 2"]) -> tuple[Float[Array, "K 4 3"], Float[Array, " K"]]:
     """Refined upgrade hypotheses, best first: the linear quadric and the focal grids of some reference pairs.
 
@@ -177,7 +183,7 @@ class Upgraded(eqx.Module):
     in_front: Float[Array, ""]  # fraction of the observations in front of their camera
 
 
-@eqx.filter_jit
+@_compiled_quickly
 def upgrade(
     root: Float[Array, "4 3"], views: Views, points: Float[Array, "F 4"], visible: Bool[Array, "F C"]
 ) -> Upgraded:
