@@ -131,10 +131,11 @@ def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, 
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
         again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
         changed = int((again.kept != judged.kept).sum())
-        converged = exact and end.settled and (changed == 0 or again.kept.tobytes() in before)
-        if exact:
-            before.add(again.kept.tobytes())
-        exact = exact or changed <= FEW_CHANGES * judged.kept.sum()
+        returned = again.kept.tobytes() in before
+        converged = exact and end.settled and (changed == 0 or returned)
+        before.add(again.kept.tobytes())
+        if not exact and (returned or changed <= FEW_CHANGES * judged.kept.sum()):
+            exact, before = True, set()
         judged = again
     return Settled(judged, sigma, robust_cost(recording, judged.state), converged, rounds)
 
