@@ -18,7 +18,7 @@ from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknown
 from jaxpoint.calibration.twoview import NormalisedTracks, undistorted
 
 LENS_SIGMA = 0.1  # of a division-model parameter in the projective adjustment
-SOLVER = SchurLevenbergMarquardt(ProjectiveModel(), rtol=1e-5, start_damping=1e-2, project_points=True)
+SOLVER = SchurLevenbergMarquardt(model=ProjectiveModel(), rtol=1e-5, start_damping=1e-2, project_points=True)
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +14,7 @@ from jaxpoint.calibration.factorization import Projective
 from jaxpoint.calibration.recording import Recording, RigState, padded_cameras
 from jaxpoint.calibration.stratification import Views, candidates, upgrade
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
+from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
 
 REFERENCE_PAIRS = 4  # pairs of cameras whose focal lengths are searched
@@ -133,20 +135,19 @@ def rig_state(
     middle = positions.mean(axis=0)
     length = np.sqrt(((positions - middle) ** 2).sum(axis=1).mean()) or 1.0
     numbers[:count, 3:6] = (translation + np.einsum("cij,j->ci", rotation, middle)) / length
-    if points is None:
-        points = np.zeros((len(data.points), 3))
-    else:
-        points = np.clip((np.nan_to_num(points) - middle) / length, -1e3, 1e3)
+    placed = np.zeros((len(data.points), 3))
+    if points is not None:
+        placed = np.clip((np.nan_to_num(points) - middle) / length, -1e3, 1e3)
     numbers[:, FOCAL] = np.log(1000.0)
     numbers[:, CENTER] = (recording.image_sizes - 1) / 2.0
     if lenses.known is not None:
         numbers[:count, FOCAL:] = known_numbers(lenses.known)
-        return RigState(numbers, base, points)
+        return RigState(numbers, base, placed)
     numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
     for camera in range(count):
         reach = np.linalg.norm(data.points[data.visible[:, camera], camera], axis=1).max()
         numbers[camera, RADIAL] = brown_of_division(division[camera], focal[camera], reach)
-    return RigState(numbers, base, points)
+    return RigState(numbers, base, placed)
 
 
 def known_numbers(rig: CameraRig) -> np.ndarray:
@@ -156,7 +157,7 @@ def known_numbers(rig: CameraRig) -> np.ndarray:
     numbers[:, 0] = np.log(focal[:, 1])
     numbers[:, ASPECT - FOCAL] = np.log(focal[:, 0] / focal[:, 1])
     numbers[:, 2:4] = np.asarray(rig.cameras.center)
-    numbers[:, 4:] = np.asarray(rig.cameras.distortion.coefficients)
+    numbers[:, 4:] = np.asarray(cast(Brown, rig.cameras.distortion).coefficients)
     return numbers
 
 

@@ -171,7 +171,7 @@ class Solved:
     settled: bool
 
 
-SOLVER = SchurLevenbergMarquardt(BrownModel())
+SOLVER = SchurLevenbergMarquardt(model=BrownModel())
 POINT_STEPS = 8
 
 
@@ -188,7 +188,7 @@ def adjust(
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()
     problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
-    solver = SchurLevenbergMarquardt(SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
+    solver = SchurLevenbergMarquardt(model=SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
     end = solve(solver, start, problem)
     solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
     return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))

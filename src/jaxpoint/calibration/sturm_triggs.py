@@ -127,7 +127,7 @@ def thesis_factorisation(
     known = known & (known.sum(axis=1) >= 2)[:, None]
     rays = np.asarray(lift(jnp.asarray(data.points), jnp.asarray(geometry.lenses)))
     tuples = _quadruples(known, rng)
-    motion, points = fill_rank_four(scale[..., None] * rays, known, tuples)
+    motion, points = fill_rank_four(jnp.asarray(scale[..., None] * rays), jnp.asarray(known), jnp.asarray(tuples))
     return finished(data, np.asarray(motion), np.asarray(points), geometry.lenses, kept, 0.0)
 
 
