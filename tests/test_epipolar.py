@@ -10,6 +10,7 @@ from scipy.special import gamma, gammaincc
 from jaxpoint.calibration.twoview import LENS_GRID
 from jaxpoint.epipolar import (
     View,
+    draw_samples,
     eight_point,
     lens_table,
     lift,
@@ -90,7 +91,9 @@ def test_eight_point_with_noise_is_as_good_as_opencv():
     fit = eight_point(views[0].rays, views[1].rays, jnp.ones(SEEN))
     theirs = cv2.findFundamentalMat(first * 734.3, second * 734.3, cv2.FM_8POINT)[0]
     scale = np.diag([734.3, 734.3, 1.0])
-    ours_px, theirs_px = (np.mean(np.asarray(sampson(f, *views)) ** 2) for f in (fit, scale @ theirs @ scale))
+    ours_px, theirs_px = (
+        np.mean(np.asarray(sampson(jnp.asarray(f), *views)) ** 2) for f in (fit, scale @ theirs @ scale)
+    )
     assert ours_px < 1.05 * theirs_px
     assert abs(np.linalg.det(np.asarray(fit))) < 1e-12
 
@@ -184,9 +187,15 @@ OFFERED = np.array([[0.1, 0.1], [-0.2, -0.1], [-0.5, 0.0]])
 
 
 def fitted(first, second, seen, method):
-    return robust_fundamental(
-        jax.random.key(0), first, second, seen, HALF_DIAGONALS, OFFERED, np.float64(3.0), 128, method
-    )
+    draws = draw_samples(np.random.default_rng(0), seen, len(OFFERED), 128)
+    return robust_fundamental(draws, first, second, seen, HALF_DIAGONALS, OFFERED, np.float64(3.0), method=method)
+
+
+def test_samples_are_of_matches_that_are_seen():
+    seen = np.random.default_rng(1).random(N) < 0.3
+    draws = draw_samples(np.random.default_rng(0), seen, 2, 64)
+    assert seen[np.asarray(draws.minimal)].all()
+    assert seen[np.asarray(draws.scored)].all()
 
 
 @pytest.mark.parametrize(("method", "share"), [("magsac", 0.3), ("ransac", 0.3), ("lmeds", 0.3)])
