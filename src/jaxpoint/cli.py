@@ -13,6 +13,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from functools import reduce
+from importlib.metadata import version
 from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, get_args
@@ -73,6 +74,9 @@ def main(argv: Sequence[str]) -> int:
         return _fail(console, f"interrupted; {interrupt}" if interrupt.args else "interrupted.", INTERRUPTED)
     except JaxpointError as error:
         return _fail(console, str(error), error.exit_code)
+    except OSError as error:
+        where = "" if error.filename is None else f" at '{error.filename}'"
+        return _fail(console, f"{error.strerror or error}{where}; mend that and repeat the command.", ENVIRONMENT)
     except ModuleNotFoundError as error:
         return _fail(console, f"The package '{error.name}' is missing; see `jaxpoint doctor`.", ENVIRONMENT)
     except Exception as error:
@@ -97,6 +101,7 @@ def parse(argv: Sequence[str]) -> Command:
     """
     finder = argparse.ArgumentParser(prog="jaxpoint", add_help=False, allow_abbrev=False)
     finder.add_argument("--config", type=Path)
+    finder.add_argument("--version", action="version", version=f"jaxpoint {version('jaxpoint')}")
     path = finder.parse_known_args(argv)[0].config
     room = RoomConfig() if path is None else load_config(path)
     kinds = [

@@ -10,6 +10,7 @@ import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -45,6 +46,8 @@ class LedSettings:
     """Robust only: a spot fainter than this fraction of the camera's median light is taken for a reflection."""
     min_frames: Count = 100
     """Fewest frames from which a background is learnt."""
+    unequal_lengths: bool = False
+    """Take videos of different lengths, each counting its own frames, for `calibrate --timestamps`."""
     workers: Count = 0
     """Processes used, one camera each; 0 takes one per core."""
 
@@ -244,8 +247,11 @@ def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
         return msgspec.convert(raw, kind, dec_hook=as_path)
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$.")
+        keys = place.rstrip("`").split(".")
+        given = reduce(lambda table, key: table.get(key) if isinstance(table, dict) else None, keys, raw)
         raise UsageError(
-            f"The setting '{place.rstrip('`').removeprefix('settings.')}' cannot be used: {reason}."
+            f"The setting '{'.'.join(keys).removeprefix('settings.')}' cannot be used: {reason}"
+            f"{'' if given is None or isinstance(given, dict) else f' (given: {given!r})'}."
         ) from None
 
 

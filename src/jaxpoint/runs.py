@@ -79,6 +79,7 @@ def check_out(out: Path, force: bool = False) -> None:
     """
     if out.is_file():
         raise UsageError(f"'{out}' is a file; --out must name a folder.")
+    _check_writable(out)
     if not out.is_dir() or not any(out.iterdir()):
         return
     if not force:
@@ -88,6 +89,15 @@ def check_out(out: Path, force: bool = False) -> None:
             f"The folder '{out}' is not empty and holds no run of jaxpoint, so --force does not touch it; "
             "choose another --out."
         )
+
+
+def _check_writable(out: Path) -> None:
+    """Try it in the nearest folder that exists: better now than after a minute of work."""
+    near = next(folder for folder in out.absolute().parents if folder.exists())
+    try:
+        Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=near)).rmdir()
+    except OSError as error:
+        raise UsageError(f"Nothing can be written at '{out}' ({error.strerror}); choose another --out.") from None
 
 
 def _take_place(beside: Path, out: Path) -> None:

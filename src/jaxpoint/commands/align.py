@@ -85,6 +85,9 @@ def alignment_of(calibration: Calibration, settings: AlignSettings) -> Alignment
     elif settings.camera_centres is not None:
         known = read_camera_centres(settings.camera_centres, cameras)
         points, _ = locate(calibration, known.names)
+        absent = [name for name in cameras if name not in known.names]
+        if absent:
+            warnings = (f"'{settings.camera_centres}' does not have {', '.join(absent)}: aligned without.",)
         found = align_to_camera_centres(points, known.points, known.sigmas, names=known.names)
     elif settings.length_m is None:
         raise UsageError("--floor needs the distance between its first two points: --length-m METRES.")

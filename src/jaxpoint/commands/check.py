@@ -98,5 +98,5 @@ def _lines(pairs: PairTable, frames: int, advice: Sequence[Advice], sufficient: 
         f"{frames} frames; image covered, and frames shared by each two cameras:",
         *table(("camera", "seen", "covered", *pairs.names), rows),
         *(f"- {item.finding} {item.remedy}" for item in advice),
-        *(("Good enough to calibrate.",) if sufficient else ()),
+        *(("Enough for a calibration.",) if sufficient else ()),
     )

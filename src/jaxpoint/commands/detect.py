@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
@@ -13,7 +14,7 @@ from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import detection_summary
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import LedSettings, RoomConfig
-from jaxpoint.errors import UsageError
+from jaxpoint.errors import InsufficientDataError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +44,9 @@ class Detect(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Write the tracks and, beside them, how the detection went in figures and pictures."""
+        if not self.verbose:  # our own error says it in a sentence; read when OpenCV is imported
+            os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+            os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
         from jaxpoint.detect.led import DetectionInterrupted, detect_led
         from jaxpoint.report.html import write_detection_section
 
@@ -69,7 +73,23 @@ class Detect(SeededOptions):
             for camera in figures["cameras"]
         ]
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
-        return Outcome(figures, (*lines, f"{figures['seconds']:.1f} s", f"Pictures: {page}", f"Tracks: {out}"))
+        return Outcome(
+            figures,
+            (*lines, f"{figures['seconds']:.1f} s", f"Pictures: {page}", f"Tracks: {out}"),
+            _failure(figures, page),
+        )
+
+
+def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | None:
+    """A camera without any light is of no use, though the others are kept."""
+    blind = [camera for camera in figures["cameras"] if not camera["found"]]
+    if not blind:
+        return None
+    reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
+    return InsufficientDataError(
+        f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
+        f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel, or leave it out."
+    )
 
 
 def _check_out(out: Path, force: bool) -> None:

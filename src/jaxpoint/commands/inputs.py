@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxpoint.config import InputSettings, LensSettings
-from jaxpoint.errors import UsageError
+from jaxpoint.errors import FileFormatError, UsageError
 
 if TYPE_CHECKING:
     from jaxpoint.camera.rig import CameraRig
     from jaxpoint.tracks import Tracks
+
+
+MAX_OUTSIDE = 0.05  # fraction of a camera's lights
 
 
 def tracks_from(path: Path, settings: InputSettings) -> Tracks:
@@ -24,7 +27,21 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
     from jaxpoint.io.tracks import read_tracks
 
     tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+    _check_inside(tracks, path)
     return tracks if settings.timestamps is None else synchronise(tracks, read_timestamps(settings.timestamps))
+
+
+def _check_inside(tracks: Tracks, path: Path) -> None:
+    """A few lights outside their image are wrong detections; many mean that the image size is wrong."""
+    inside = ((tracks.pixels >= -1) & (tracks.pixels <= tracks.image_sizes)).all(axis=2)
+    outside = (tracks.visible & ~inside).sum(axis=0) / tracks.visible.sum(axis=0).clip(min=1)
+    worst = int(outside.argmax())
+    if outside[worst] > MAX_OUTSIDE:
+        width, height = tracks.image_sizes[worst]
+        raise FileFormatError(
+            f"{outside[worst]:.0%} of the lights of camera '{tracks.names[worst]}' in '{path}' lie outside its image "
+            f"of {width} x {height} px; correct the image size."
+        )
 
 
 def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None:

@@ -78,6 +78,7 @@ def detect_led(
             one when none was).
     """
     started = time.perf_counter()
+    settings = settings or LedSettings()
     paths = [Path(source) for source in sources]
     names = tuple(names) or camera_names(paths)
     _check_sources(paths, names)
@@ -88,15 +89,15 @@ def detect_led(
             progress(names[camera], done, total)
 
     try:
-        run_cameras(paths, settings or LedSettings(), finished, report)
+        run_cameras(paths, settings, finished, report)
     except KeyboardInterrupt:
         if not finished:
             raise
         kept = sorted(finished)
         lights = [finished[i] for i in kept]
-        partial = _assemble([paths[i] for i in kept], [names[i] for i in kept], lights, started)
+        partial = _assemble([paths[i] for i in kept], [names[i] for i in kept], lights, settings, started)
         raise DetectionInterrupted(partial, len(paths)) from None
-    return _assemble(paths, names, [finished[i] for i in range(len(paths))], started)
+    return _assemble(paths, names, [finished[i] for i in range(len(paths))], settings, started)
 
 
 def camera_names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -121,10 +122,14 @@ def _check_sources(paths: Sequence[Path], names: Sequence[str]) -> None:
 
 
 def _assemble(
-    paths: Sequence[Path], names: Sequence[str], lights: Sequence[CameraLights], started: float
+    paths: Sequence[Path],
+    names: Sequence[str],
+    lights: Sequence[CameraLights],
+    settings: LedSettings,
+    started: float,
 ) -> LedDetection:
     """One row for every frame number that any camera has."""
-    _check_counts(names, lights)
+    _check_counts(names, lights, settings.unequal_lengths)
     frame_ids = np.unique(np.concatenate([light.frame_ids for light in lights]))
     shape = (len(frame_ids), len(lights))
     pixels, covariance = np.zeros((*shape, 2)), np.zeros((*shape, 2, 2))
@@ -146,7 +151,7 @@ def _assemble(
     return LedDetection(tracks, reasons, covariance, brightest, stats, tuple(paths), time.perf_counter() - started)
 
 
-def _check_counts(names: Sequence[str], lights: Sequence[CameraLights]) -> None:
+def _check_counts(names: Sequence[str], lights: Sequence[CameraLights], any_length: bool) -> None:
     """Videos are matched by position, which needs equal lengths; image numbers must overlap."""
     first = lights[0]
     for name, light in zip(names, lights):
@@ -158,10 +163,12 @@ def _check_counts(names: Sequence[str], lights: Sequence[CameraLights]) -> None:
                 "cameras alike."
             )
         counts = len(first.frame_ids), len(light.frame_ids)
-        if not (first.numbered and light.numbered) and abs(counts[0] - counts[1]) > COUNT_TOLERANCE * max(counts):
+        matched = any_length or (first.numbered and light.numbered)
+        if not matched and abs(counts[0] - counts[1]) > COUNT_TOLERANCE * max(counts):
             raise InsufficientDataError(
                 f"Cameras '{names[0]}' and '{name}' have {counts[0]} and {counts[1]} frames, so it is not known which "
-                "belong together; cut them to the same moments, or give folders of images numbered alike."
+                "belong together; cut them to the same moments, give folders of images numbered alike, or, with a "
+                "timestamps.csv for `calibrate`, let them through by --unequal-lengths."
             )
 
 

@@ -15,6 +15,7 @@ from typing import BinaryIO
 from jaxpoint.errors import FileFormatError
 
 StrPath = str | os.PathLike[str]
+MAX_INTEGER = 10**15
 
 
 @contextmanager
@@ -86,10 +87,12 @@ class Row:
         return number
 
     def integer(self, column: str) -> int:
-        """A whole number (also written as 3.0)."""
+        """A whole number (also written as 3.0), small enough for a float64 to hold it exactly."""
         number = self.number(column)
-        if number != int(number):
-            raise self.error(f"column '{column}' is {self.values[column]}, which is not a whole number.")
+        if number != int(number) or abs(number) > MAX_INTEGER:
+            raise self.error(
+                f"column '{column}' is {self.values[column]}, which is not a whole number of at most 15 digits."
+            )
         return int(number)
 
     def missing(self, column: str) -> bool:

@@ -69,7 +69,7 @@ def on_recording(
 ) -> Iterator[Advice]:
     """Too little of an image visited; a camera that shares too few frames."""
     partners = shared.copy()
-    np.fill_diagonal(partners, 0)
+    np.fill_diagonal(partners, -1)  # nobody's own best partner
     ranked = -np.sort(-partners, axis=1)[:, : min(2, len(names) - 1)]
     told: set[int] = set()
     for camera in np.argsort(ranked.sum(axis=1), kind="stable").tolist():
@@ -87,7 +87,13 @@ def on_recording(
         )
     for camera, count in enumerate(image_coverage(pixels, visible, sizes)):
         covered = float(np.mean(count > 0))
-        if covered < ENOUGH_COVERAGE:
+        if not covered:
+            yield Advice(
+                f"Camera {names[camera]} never saw the light.",
+                "Look at its pictures of `jaxpoint detect led`, wave the light in its view, or leave the camera out.",
+                urgent=True,
+            )
+        elif covered < ENOUGH_COVERAGE:
             yield Advice(
                 f"Camera {names[camera]} saw the light in {covered:.0%} of its image only, {_empty_side(count)}.",
                 f"Its lens is guessed where the light never was: wave it there too, until {ENOUGH_COVERAGE:.0%} of "
@@ -192,7 +198,7 @@ def on_synchrony(
     for camera, name in enumerate(names):
         partners = np.flatnonzero(sure[camera])
         shifted = [int(lag[k, camera]) for k in partners]
-        if len(shifted) >= min(2, len(names) - 1) and np.ptp(shifted) <= 2 and abs(np.median(shifted)) >= 2:
+        if len(shifted) >= max(1, min(2, len(names) - 1)) and np.ptp(shifted) <= 2 and abs(np.median(shifted)) >= 2:
             by = int(np.median(shifted))
             when = "after" if by > 0 else "before"
             yield Advice(

@@ -101,8 +101,8 @@ class Summary:
 
     @property
     def judged(self) -> Bool[np.ndarray, "F C"]:
-        """Observations that have a residual: seen, in a frame whose point is known from two cameras or more."""
-        return self.comparable & self.point_valid[:, None]
+        """Observations that have a residual, also where the views contradict each other and no point is believed."""
+        return self.comparable & (self.point_valid[:, None] | (self.errors > 0))
 
     @property
     def rejected(self) -> Bool[np.ndarray, "F C"]:
