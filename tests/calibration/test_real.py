@@ -76,7 +76,7 @@ def test_arctic4_is_better_than_published(data_folder, arctic):
 
 
 NUMBERS = 14  # of a camera below: rotation vector, translation, log focal, centre, k1, k2, p1, p2, k3
-PRIOR_SIGMA = np.array([0.05 * 640, 0.05 * 640, 1.0, 1.0, 0.02, 0.02, 1.0])  # as the settings and SPEC 2.6 have them
+PRIOR_SIGMA = np.array([0.05 * 640, 0.05 * 640, 1.0, 1.0, 0.005, 0.005, 1.0])  # as the settings and SPEC 2.6 have them
 
 
 def projected(cameras, points):

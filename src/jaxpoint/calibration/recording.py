@@ -112,7 +112,7 @@ def free_parameters(recording: Recording, lens: LensSettings, distortion: str, h
 
 
 NOISE_PX = 0.5  # assumed when priors are weighed against pixels
-SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.02, 1.0, 0.02  # weak: they only hold what nothing else determines
+SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.02, 1.0, 0.005  # weak: they only hold what nothing else determines
 
 
 def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.ndarray]:
