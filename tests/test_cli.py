@@ -367,3 +367,73 @@ def test_the_process_ends_with_the_code_of_its_command(monkeypatch, code, leave)
     with pytest.raises(SystemExit):
         command_line()
     assert left == [(leave, code)]
+
+
+@pytest.mark.parametrize("command", ["check", "calibrate"])
+def test_tracks_that_no_calibration_can_use_leave_nothing(tmp_path, solved_room, command, capsys):
+    """One camera, a blind one, an image size that cannot be, a number too long, and no folder to write to."""
+    tracks = solved_room[1].tracks
+    blind = tracks.visible & (np.arange(tracks.cameras) != 2)
+    save_tracks(tmp_path / "one.npz", tracks.select_cameras([0]))
+    save_tracks(tmp_path / "none.npz", tracks.select_frames(np.arange(0)))
+    save_tracks(tmp_path / "blind.npz", replace(tracks, visible=blind))
+    save_tracks(tmp_path / "small.npz", replace(tracks, image_sizes=tracks.image_sizes // 2))
+    (tmp_path / "long.csv").write_text(f"frame,camera,x,y,width,height\n{'9' * 25},a,1,2,640,480")
+    before = sorted(tmp_path.rglob("*"))
+    for name, code, message in (
+        ("one.npz", 4, "at least 3 cameras, but there is 1"),
+        ("none.npz", 4, "holds 0 frames"),
+        ("blind.npz", 4, "Camera 'cam_2' shares 0 frames"),
+        ("small.npz", 7, "lie outside its image of 640 x 360 px; correct the image size"),
+        ("long.csv", 7, "line 2: column 'frame' is 9999"),
+    ):
+        found, _, err = run(command, tmp_path / name, "--out", tmp_path / "out" / name, capsys=capsys)
+        assert (found, err.count("\n")) == (code, 1)
+        assert message in err
+        (tmp_path / "out" / name / "report.html").unlink(missing_ok=True)
+    found, _, err = run(command, tmp_path / "one.npz", "--out", tmp_path / "long.csv" / "out", capsys=capsys)
+    assert (found, "Nothing can be written" in err) == (2, True)
+    if command == "calibrate":
+        assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_check_says_that_a_camera_never_saw_the_light(tmp_path, solved_room, capsys):
+    tracks = solved_room[1].tracks
+    save_tracks(tmp_path / "blind.npz", replace(tracks, visible=tracks.visible & (np.arange(4) != 2)))
+    _, out, _ = run("check", tmp_path / "blind.npz", capsys=capsys)
+    assert "Camera cam_2 never saw the light." in out
+    assert "cam_2 and cam_2" not in out
+
+
+def test_a_camera_without_light_fails_the_detection_but_keeps_it(tmp_path, capsys):
+    rng = np.random.default_rng(0)
+    (tmp_path / "cam").mkdir()
+    for frame in range(20):
+        cv2.imwrite(str(tmp_path / "cam" / f"{frame}.png"), rng.normal(10, 1.5, (40, 50)).astype(np.uint8))
+    given = ["--min-frames", 20, "--workers", 1, "--out", tmp_path / "tracks.npz"]
+    code, _, err = run("detect", "led", tmp_path / "cam", *given, capsys=capsys)
+    assert code == 4
+    assert "0 of 20 frames of camera 'cam'" in err
+    assert not load_tracks(tmp_path / "tracks.npz").visible.any()
+
+
+def test_a_camera_without_a_known_centre_is_named(run_folder, known_files, solved_room, capsys):
+    room = solved_room[0].room
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(room.tracks.names[1:], room.positions[1:])]
+    (known_files / "tape.csv").write_text("\n".join(["name,x_m,y_m,z_m", *lines]))
+    given = ["--camera-centres", known_files / "tape.csv", "--out", known_files / "out"]
+    code, out, _ = run("align", run_folder, *given, capsys=capsys)
+    assert code == 0
+    assert "tape.csv' does not have cam_0: aligned without." in out
+
+
+def test_a_full_disk_is_no_bug(tmp_path, tracks_file, solver, monkeypatch, capsys):
+    solver.error = OSError(28, "No space left on device", "somewhere")
+    code, _, err = run("calibrate", tracks_file, "--out", tmp_path / "run", capsys=capsys)
+    assert (code, "No space left on device at 'somewhere'" in err) == (3, True)
+
+
+def test_version(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--version"])
+    assert (stop.value.code, capsys.readouterr().out.split()[0]) == (0, "jaxpoint")

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -83,6 +84,9 @@ def test_a_video_of_another_length_cannot_be_matched(folders, video, tmp_path):
         shutil.copy(folders[0] / "shot0.png", tmp_path / "more" / f"shot{frame}.png")
     with pytest.raises(InsufficientDataError, match="120 and 140 frames"):
         detect_led([video, tmp_path / "more"], ALONE)
+    found = detect_led([video, tmp_path / "more"], replace(ALONE, unequal_lengths=True)).tracks
+    assert found.frames == 140
+    assert not found.visible[120:, 0].any()
 
 
 def test_ctrl_c_keeps_the_cameras_that_are_finished(folders):

@@ -88,7 +88,7 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
     reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
     return InsufficientDataError(
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
-        f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel, or leave it out."
+        f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel."
     )
 
 

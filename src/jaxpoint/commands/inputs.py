@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxpoint.config import InputSettings, LensSettings
-from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.errors import FileFormatError, InsufficientDataError, UsageError
 
 if TYPE_CHECKING:
     from jaxpoint.camera.rig import CameraRig
@@ -21,12 +21,14 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
 
     Raises:
         FileFormatError: the file or folder is not what it should be.
-        InsufficientDataError: the timestamps belong to another recording.
+        InsufficientDataError: there are no frames, or the timestamps belong to another recording.
     """
     from jaxpoint.io.timestamps import read_timestamps, synchronise
     from jaxpoint.io.tracks import read_tracks
 
     tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+    if not tracks.frames:
+        raise InsufficientDataError(f"'{path}' holds 0 frames; record the light and detect it first.")
     _check_inside(tracks, path)
     return tracks if settings.timestamps is None else synchronise(tracks, read_timestamps(settings.timestamps))
 

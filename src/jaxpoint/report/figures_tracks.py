@@ -21,6 +21,8 @@ def timeline(names: tuple[str, ...], visible: Bool[np.ndarray, "F C"], frame_ids
     for camera, color in enumerate(camera_colors(len(names))):
         bars = np.stack([step[:-1], np.diff(step)], axis=1)
         shown = share[:, camera] > 0
+        if not shown.any():  # matplotlib draws no bars of no length
+            continue
         ax.broken_barh(
             [tuple(bar) for bar in bars[shown]], (camera - 0.35, 0.7), facecolors=color,
             alpha=share[shown, camera], lw=0, rasterized=True,
