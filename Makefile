@@ -14,7 +14,7 @@ demo: $(VENV)/.core
 	$(BIN)/jaxpoint demo --out demo-run --force
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --jaxtyping-packages="$(TYPED)"
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --jaxtyping-packages="$(TYPED)"
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
