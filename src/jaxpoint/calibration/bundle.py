@@ -57,7 +57,7 @@ class BrownModel(AbstractModel):
         return jnp.stack([focal * jnp.exp(log_aspect) * bent_u + cx - pixel[0], focal * bent_v + cy - pixel[1]])
 
     def retract(self, cameras, constants, step):
-        """The rotation vector of a small left rotation to first order, everything else added; focal steps are bounded."""
+        """A left rotation to first order, everything else added; focal lengths at most double or halve in a step."""
         turned = cameras[:, :3] + jax.vmap(lambda old, by: rotation.left_jacobian_inverse(old) @ by)(
             cameras[:, :3], jnp.clip(step[:, :3], -1.0, 1.0)
         )
