@@ -26,6 +26,7 @@ from jaxpoint.tracks import Tracks
 
 Progress = Callable[[str, int, int], None]
 HOPELESS = 3.0  # candidates that cost this many times more than the best are not followed up
+SUSPECT = 0.75  # and one that keeps less than this share is not called good
 DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is tried again from elsewhere
 
 
@@ -100,7 +101,8 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
     clock.append(time.perf_counter())
     seconds = {"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]}
     stages = [_pair_stage(geometry, tracks.names), *stages, _adjustment_stage(settled)]
-    return _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed)
+    explained = settled.judged.kept.sum() / max(inputs.kept.sum(), 1)
+    return _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed, float(explained))
 
 
 def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:
@@ -114,14 +116,14 @@ def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSe
     recording = inputs.recording
     expected = inputs.kept.sum()
     best = settle(recording, candidates[0].state, inputs.freedom, settings.outliers)
-    tried = [candidates[0].state]
+    tried = [candidates[0]]
     for candidate in candidates[1:]:
         doubtful = best.judged.kept.sum() < DOUBTFUL * expected or not best.converged
         if not doubtful or candidate.cost > HOPELESS * candidates[0].cost:
             break
-        if any(_alike(candidate.state, other) for other in tried):
+        if any(_alike(candidate, other) for other in tried):
             continue
-        tried.append(candidate.state)
+        tried.append(candidate)
         other = settle(recording, candidate.state, inputs.freedom, settings.outliers)
         best = other if other.cost < best.cost else best
     if not best.converged:
@@ -130,9 +132,10 @@ def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSe
     return best
 
 
-def _alike(first: RigState, second: RigState) -> bool:
-    """Whether two starts have the same focal lengths within 5 %, and so lead to the same rig."""
-    return bool(np.abs(first.cameras[:, FOCAL] - second.cameras[:, FOCAL]).max() < 0.05)
+def _alike(first: Start, second: Start) -> bool:
+    """Whether two starts have the same cost and focal lengths within 5 %, and so lead to the same rig."""
+    focals = np.abs(first.state.cameras[:, FOCAL] - second.state.cameras[:, FOCAL]).max()
+    return bool(focals < 0.05 and abs(first.cost - second.cost) < 0.05 * max(first.cost, second.cost))
 
 
 def _pair_stage(geometry: TwoViewGeometry, names: tuple[str, ...]) -> Stage:
@@ -161,7 +164,9 @@ def _adjustment_stage(settled: Settled) -> Stage:
     )
 
 
-def _calibration(tracks, recording, settled: Settled, pairs: PairTable, stages, seconds, seed) -> Calibration:
+def _calibration(
+    tracks, recording, settled: Settled, pairs: PairTable, stages, seconds, seed, explained: float
+) -> Calibration:
     frames, cameras = tracks.frames, tracks.cameras
     state = centred(settled.judged.state, settled.judged.kept, cameras)
     pixels, _ = project(state)
@@ -178,8 +183,8 @@ def _calibration(tracks, recording, settled: Settled, pairs: PairTable, stages, 
         residuals=residuals,
         verdicts=verdicts,
         sigma_px=settled.sigma_px,
-        converged=settled.converged,
-        message=_message(settled),
+        converged=settled.converged and explained >= SUSPECT,
+        message=_message(settled, explained),
         pairs=pairs,
         stages=tuple(stages),
         seconds=seconds,
@@ -187,7 +192,12 @@ def _calibration(tracks, recording, settled: Settled, pairs: PairTable, stages, 
     )
 
 
-def _message(settled: Settled) -> str:
+def _message(settled: Settled, explained: float) -> str:
+    if explained < SUSPECT:
+        return (
+            f"ended in a rig that keeps only {explained:.0%} of the observations on which pairs of cameras agree "
+            f"({SUSPECT:.0%} wanted): it is probably wrong; try another --init or wave the light longer"
+        )
     if settled.converged:
         return f"converged after {settled.rounds} rounds: the cost and the believed observations no longer change"
     return f"stopped after {settled.rounds} rounds without settling"
