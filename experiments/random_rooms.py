@@ -32,7 +32,7 @@ from rich.progress import track
 
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE
-from jaxpoint.calibration.outliers import Settled, settle
+from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate, centred
@@ -243,7 +243,7 @@ def reference(room: Room, settings: CalibrateSettings) -> Settled:
     recording = Recording.of(room.tracks)
     distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
     freedom = Freedom.of(recording, settings.lens, distortion)
-    return settle(recording, true_state(room, recording), freedom, settings.outliers)
+    return settle(recording, grow(recording, true_state(room, recording), freedom), freedom, settings.outliers)
 
 
 def true_state(room: Room, recording: Recording) -> RigState:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.consensus import consensus
-from jaxpoint.calibration.outliers import LEAST_SIGMA_PX, judge, robust_cost, robust_sigma, settle
+from jaxpoint.calibration.outliers import LEAST_SIGMA_PX, grow, judge, robust_cost, robust_sigma, settle
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.config import LensSettings, OutlierSettings
@@ -138,7 +138,8 @@ def test_what_was_rejected_comes_back(noisy):
     off[:, 10] = 0.0
     start = type(noisy.truth)(off, noisy.truth.base, noisy.truth.points)
     at_first = judge(noisy.recording, start, THRESHOLD).kept.sum()
-    ends = [settle(noisy.recording, state, freedom, OutlierSettings()) for state in (start, noisy.truth)]
+    grown = [grow(noisy.recording, state, freedom) for state in (start, noisy.truth)]
+    ends = [settle(noisy.recording, judged, freedom, OutlierSettings()) for judged in grown]
     assert at_first < 0.5 * ends[0].judged.kept.sum()
     np.testing.assert_array_equal(ends[0].judged.kept, ends[1].judged.kept)
     assert ends[0].converged
@@ -148,6 +149,6 @@ def test_what_was_rejected_comes_back(noisy):
     again = robust_cost(noisy.recording, ends[0].judged.state)
     assert again == pytest.approx(ends[0].cost, rel=1e-9)
     # A bound on the rounds is kept and told.
-    cut = settle(noisy.recording, start, freedom, OutlierSettings(max_rounds=1))
+    cut = settle(noisy.recording, grown[0], freedom, OutlierSettings(max_rounds=1))
     assert cut.rounds == 1
     assert not cut.converged

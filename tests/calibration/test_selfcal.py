@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.alignment import umeyama
-from jaxpoint.calibration.outliers import settle
+from jaxpoint.calibration.outliers import grow, settle
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.selfcal import calibrate
@@ -46,7 +46,7 @@ def test_the_optimum_of_the_truth_is_reached(solved, state_of, seed):
     room, found = solved[seed]
     recording, settings = Recording.of(room.tracks), CalibrateSettings()
     freedom = Freedom.of(recording, settings.lens, "radial2")
-    best = settle(recording, state_of(room, recording), freedom, settings.outliers)
+    best = settle(recording, grow(recording, state_of(room, recording), freedom), freedom, settings.outliers)
     assert found.converged
     assert cost_of(found) <= 1.01 * best.cost
     from_truth = centre_error(best.judged.state.positions[: room.tracks.cameras], room.positions)

@@ -56,6 +56,51 @@ class BrownModel(AbstractModel):
         focal = jnp.exp(log_focal)
         return jnp.stack([focal * jnp.exp(log_aspect) * bent_u + cx - pixel[0], focal * bent_v + cy - pixel[1]])
 
+    def columns(self, state, point, pixel):
+        """The derivatives of `residual`, written out.
+
+        What many entries share ends in a division: a compiler that recomputes cheap operations for every entry, as
+        XLA does on a CPU, keeps the result of a division. That halves the time.
+        """
+        turn, numbers = state
+        arm = [turn[i, 0] * point[0] + turn[i, 1] * point[1] + turn[i, 2] * point[2] for i in range(3)]
+        z = arm[2] + numbers[2]
+        z = jnp.where(jnp.abs(z) < 1e-9, 1e-9, z)
+        u, v = (arm[0] + numbers[0]) / z, (arm[1] + numbers[1]) / z
+        focal_y = jnp.exp(numbers[3])
+        focal_x = focal_y * jnp.exp(numbers[4])
+        k1, k2, p1, p2, k3 = (numbers[7 + i] for i in range(5))
+        full = u * u + v * v
+        grows = jnp.where(full < MAX_RADIUS2, 2.0, 0.0)  # d r2 / d u = grows u
+        r2 = jnp.minimum(full, MAX_RADIUS2)
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = grows * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+        twice, wide_u, wide_v = 2.0 * u * v, r2 + 2.0 * u * u, r2 + 2.0 * v * v
+        bent_u = focal_x * (u * radial + p1 * twice + p2 * wide_u)
+        bent_v = focal_y * (v * radial + p1 * wide_v + p2 * twice)
+        by_u = (
+            focal_x * (radial + u * u * slope + 2.0 * p1 * v + p2 * u * (4.0 + grows)) / z,
+            focal_y * (u * v * slope + p1 * u * grows + 2.0 * p2 * v) / z,
+        )
+        by_v = (
+            focal_x * (u * v * slope + 2.0 * p1 * u + p2 * v * grows) / z,
+            focal_y * (radial + v * v * slope + p1 * v * (4.0 + grows) + 2.0 * p2 * u) / z,
+        )
+        zero, one = jnp.zeros_like(u), jnp.ones_like(u)
+        x2, y2 = focal_x * u * r2, focal_y * v * r2
+        lens = (
+            (bent_u, bent_u, one, zero, x2, x2 * r2, focal_x * twice, focal_x * wide_u, x2 * r2 * r2),
+            (bent_v, zero, zero, one, y2, y2 * r2, focal_y * wide_v, focal_y * twice, y2 * r2 * r2),
+        )
+        for_camera, for_point = [], []
+        for a, b, rest in zip(by_u, by_v, lens):
+            c = -(a * u + b * v)
+            turning = (c * arm[1] - b * arm[2], a * arm[2] - c * arm[0], b * arm[0] - a * arm[1])
+            for_camera.append((*turning, a, b, c, *rest))
+            for_point.append(tuple(a * turn[0, j] + b * turn[1, j] + c * turn[2, j] for j in range(3)))
+        residual = (bent_u + numbers[5] - pixel[0], bent_v + numbers[6] - pixel[1])
+        return residual, tuple(for_camera), tuple(for_point)
+
     def retract(self, cameras, constants, step):
         """A left rotation to first order, everything else added; focal lengths at most double or halve in a step."""
         turned = cameras[:, :3] + jax.vmap(lambda old, by: rotation.left_jacobian_inverse(old) @ by)(

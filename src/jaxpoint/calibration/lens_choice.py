@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxpoint.calibration.outliers import Settled, settle
+from jaxpoint.calibration.outliers import GROWING_PX, Settled, judge, settle
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Stage
 from jaxpoint.config import CalibrateSettings
@@ -32,7 +32,8 @@ def choose_lens(
     }
     if gain.mean() <= LEAST_GAIN * before.mean() or evidence <= LEAST_EVIDENCE:
         return settled, simple, Stage("Lens model", {"chosen": "k1, k2", **figures})
-    again = settle(recording, settled.judged.state, rich, settings.outliers, growing=False)
+    judged = judge(recording, settled.judged.state, GROWING_PX[-1] * recording.scale)
+    again = settle(recording, judged, rich, settings.outliers)
     return again, rich, Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
 
 

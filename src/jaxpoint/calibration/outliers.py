@@ -16,6 +16,7 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust,
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.config import OutlierSettings
 
+GROWING_STEPS, ROUGH_STEPS = 15, 6  # of an adjustment that the next judgement overtakes
 GROWING_PX = (30.0, 15.0, 8.0)  # readmission thresholds at an image width of 1280
 FIRST_LOSS_PX = 10.0  # Cauchy scale of the adjustments before the noise is known, likewise
 JUDGED_LOSS_PX = 3.0  # Cauchy scale with which whole hypotheses are compared, likewise
@@ -97,27 +98,23 @@ class Settled:
     rounds: int
 
 
-def settle(
-    recording: Recording, state: RigState, freedom: Freedom, settings: OutlierSettings, *, growing: bool = True
-) -> Settled:
-    """Adjust and judge in turn: growing from rough thresholds, then at `settings.sigmas` until nothing changes."""
+def grow(recording: Recording, state: RigState, freedom: Freedom) -> Judgement:
+    """Adjust and judge in turn at thresholds that start rough: a rig near its end, and what to believe there."""
     scale = recording.scale
-    if growing:
-        for threshold in GROWING_PX:
-            judged = judge(recording, state, threshold * scale)
-            state = adjust(
-                recording, judged.state, judged.kept, freedom, loss_scale=FIRST_LOSS_PX * scale, steps=30, rtol=1e-5
-            ).state
-        judged = judge(recording, state, GROWING_PX[-1] * scale)
-    else:
-        judged = judge(recording, state, GROWING_PX[-1] * scale)
-    return _until_unchanged(recording, judged, freedom, settings)
+    for threshold in GROWING_PX:
+        judged = judge(recording, state, threshold * scale)
+        loss = FIRST_LOSS_PX * scale
+        state = adjust(
+            recording, judged.state, judged.kept, freedom, loss_scale=loss, steps=GROWING_STEPS, rtol=1e-5
+        ).state
+    return judge(recording, state, GROWING_PX[-1] * scale)
 
 
-def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings) -> Settled:
-    """Rounds at the noise level. While the set still changes the solves are rough; the last ones are exact.
+def settle(recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings) -> Settled:
+    """Adjust and judge in turn at the noise level until nothing changes.
 
-    Now and then an observation at the very threshold goes in and out for ever: a set that comes back is the end too.
+    While the set still changes the solves are rough; the last ones are exact. Now and then an observation at the very
+    threshold goes in and out for ever: a set that comes back is the end too.
     """
     parameters = int(freedom.free.sum())
     sigma = robust_sigma(judged.errors, judged.kept, parameters)
@@ -126,7 +123,7 @@ def _until_unchanged(recording: Recording, judged: Judgement, freedom: Freedom, 
     while rounds < settings.max_rounds and not converged:
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
-        rtol, steps = (1e-7, 100) if exact else (1e-4, 15)
+        rtol, steps = (1e-7, 100) if exact else (1e-4, ROUGH_STEPS)
         end = adjust(recording, judged.state, judged.kept, freedom.at_noise(sigma), steps=steps, rtol=rtol, **loss)
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
         again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)

@@ -76,39 +76,36 @@ class AbstractModel(eqx.Module):
         prior = jnp.sqrt(problem.prior_weight) * (y.cameras - problem.prior_mean)
         return raw * shrink[:, :, None], prior
 
+    def columns(
+        self, state: PyTree[Array], point: Float[Array, "3"], pixel: Float[Array, "2"]
+    ) -> tuple[tuple, tuple, tuple]:
+        """The residual and its derivatives as scalars: r, then r of p for the camera, then r of 3 for the point.
+
+        Scalars, because arrays are only put together once, weighted and in the order that the products want. By
+        forward differentiation; a model whose derivatives are worth writing out overrides it.
+        """
+
+        def value(both):
+            return self.residual(state, both[: self.camera_size], both[self.camera_size :], pixel)
+
+        both = jnp.concatenate([jnp.zeros(self.camera_size, point.dtype), point])
+        residual, jacobian = value(both), jax.jacfwd(value)(both)
+        rows = [tuple(jacobian[r, i] for i in range(self.camera_size + 3)) for r in range(self.residual_size)]
+        return (
+            tuple(residual[r] for r in range(self.residual_size)),
+            tuple(row[: self.camera_size] for row in rows),
+            tuple(row[self.camera_size :] for row in rows),
+        )
+
     def _block_residuals(self, state, points, pixels) -> Float[Array, "C r B"]:
         zero = jnp.zeros(self.camera_size, points.dtype)
         over_points = jax.vmap(self.residual, in_axes=(None, None, -1, -1), out_axes=-1)
         over_cameras = jax.vmap(over_points, in_axes=(0, None, None, 0))
         return over_cameras(state, zero, points, pixels)
 
-    def _block_jacobians(self, state, points, pixels):
-        """Residuals (C, r, B) and Jacobians for cameras (C, r, p, B) and points (C, r, 3, B)."""
-
-        def single(state, point, pixel):
-            zero = jnp.zeros(self.camera_size, point.dtype)
-
-            def value(both):
-                return self.residual(state, both[: self.camera_size], both[self.camera_size :], pixel)
-
-            both = jnp.concatenate([zero, point])
-            return value(both), jax.jacfwd(value)(both)
-
-        over_points = jax.vmap(single, in_axes=(None, -1, -1), out_axes=-1)
-        residual, jacobian = jax.vmap(over_points, in_axes=(0, None, 0))(state, points, pixels)
-        return residual, jacobian[:, :, : self.camera_size], jacobian[:, :, self.camera_size :]
-
-    def _block_point_jacobians(self, state, points, pixels):
-        """Residuals (C, r, B) and their Jacobians for the points alone (C, r, 3, B)."""
-        zero = jnp.zeros(self.camera_size, points.dtype)
-
-        def single(state, point, pixel):
-            def value(point):
-                return self.residual(state, zero, point, pixel)
-
-            return value(point), jax.jacfwd(value)(point)
-
-        over_points = jax.vmap(single, in_axes=(None, -1, -1), out_axes=-1)
+    def _block_columns(self, state, points, pixels):
+        """`columns` of a block; every scalar becomes (C, B)."""
+        over_points = jax.vmap(self.columns, in_axes=(None, -1, -1), out_axes=-1)
         return jax.vmap(over_points, in_axes=(0, None, 0))(state, points, pixels)
 
 
@@ -116,24 +113,21 @@ def _over_blocks(function, state, points, pixels):
     return jax.lax.map(lambda block: function(state, *block), (points, pixels))
 
 
-class _Eliminated(eqx.Module):
-    """What back-substitution needs of every block, kept from the elimination; stacked over NB blocks."""
+class _Linear(eqx.Module):
+    """A block linearised: robustly weighted residuals and derivatives, one entry a residual; zero where hidden."""
 
-    cross: Float[Array, "*NB C p 3 B"]
-    inverse: Float[Array, "*NB 3 3 B"]
+    residual: list[Float[Array, "C B"]]
+    for_camera: list[tuple[Float[Array, "C B"], ...]]
+    for_point: list[tuple[Float[Array, "C B"], ...]]
+    costs: Float[Array, " B"]  # the robust cost of each point
+
+
+class _Eliminated(eqx.Module):
+    """The point blocks of the normal equations as they were eliminated; stacked over NB blocks."""
+
+    root: Float[Array, "*NB 6 B"]
     gradient: Float[Array, "*NB 3 B"]
     costs: Float[Array, "*NB B"]  # of every point, before the step
-
-
-class _Normal(eqx.Module):
-    """The normal equations of one block of points."""
-
-    cameras: Float[Array, "C p p"]
-    camera_gradient: Float[Array, "C p"]
-    cross: Float[Array, "C p 3 B"]
-    points: Float[Array, "3 3 B"]
-    point_gradient: Float[Array, "3 B"]
-    costs: Float[Array, " B"]  # the robust cost of each point
 
 
 class SchurState(eqx.Module):
@@ -143,19 +137,20 @@ class SchurState(eqx.Module):
     cost: Float[Array, ""]
     steps: Int[Array, ""]
     quiet: Int[Array, ""]  # successive accepted steps that hardly lowered the cost
+    failed: Bool[Array, ""]  # the last trial did not lower the cost
     stuck: Bool[Array, ""]  # damping grew without bound: no step lowers the cost any more
 
 
 class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     """Levenberg-Marquardt with the points eliminated.
 
-    Damping is scaled by the diagonal (Marquardt), times 0.1 after success and times 4 after failure. With
+    Damping is scaled by the diagonal (Marquardt), times 0.1 after two successes and times 4 after failure. With
     `project_points` the points are solved anew for every trial of the cameras (variable projection; exact where the
     residual is linear in the point).
     """
 
     model: AbstractModel
-    rtol: float | Array = 1e-8  # relative decrease of the cost below which a step is quiet; two such are the end
+    rtol: float | Array = 1e-8  # of the cost: a step of the cameras that promises less is quiet; two such are the end
     atol: float | Array = 1e-14
     xtol: float = 1e-4  # and the largest camera step then, as the change of cost it would make unopposed over the cost
     norm: Callable[[PyTree], Array] = optx.max_norm
@@ -173,22 +168,28 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             jnp.asarray(0),
             jnp.asarray(0),
             jnp.asarray(False),
+            jnp.asarray(False),
         )
 
     def step(self, fn, y: Unknowns, args: Problem, options: dict[str, Any], state: SchurState, tags):
         """One trial: kept if it lowers the cost."""
-        trial, before, cost, reach = _trial(self.model, y, args, state.damping, self.project_points)
+        trial, before, cost, promise, reach = _trial(self.model, y, args, state.damping, self.project_points)
         better = cost < before  # False for NaN
         decrease = jnp.where(better, before - cost, 0.0)
-        # A valley of the focal lengths lowers the cost by next to nothing while the cameras still travel.
-        small = (decrease <= self.rtol * before + self.atol) & (reach <= self.xtol * before + self.atol)
-        damping = jnp.where(better, jnp.maximum(state.damping * 0.1, 1e-12), state.damping * 4.0)
+        # What single points of a robust problem still gain long after the cameras stand must not hold up the end;
+        # a valley of the focal lengths lowers the cost by next to nothing while the cameras still travel.
+        small = (promise <= self.rtol * before + self.atol) & (reach <= self.xtol * before + self.atol)
+        small = small & (decrease <= jnp.sqrt(self.rtol) * before + self.atol)
+        # What was just found to be too little damping is not tried again at once.
+        eased = jnp.where(state.failed, state.damping, jnp.maximum(state.damping * 0.1, 1e-12))
+        damping = jnp.where(better, eased, state.damping * 4.0)
         new_y = jax.tree.map(lambda new, old: jnp.where(better, new, old), trial, y)
         new_state = SchurState(
             damping,
             jnp.where(better, cost, before),
             state.steps + 1,
             jnp.where(better, jnp.where(small, state.quiet + 1, 0), state.quiet),
+            ~better,
             damping > self.MAX_DAMPING,
         )
         return new_y, new_state, None
@@ -216,47 +217,85 @@ def _summed_loss(residual: Float[Array, "C r B"], loss_scale, weights: Float[Arr
     return jnp.where(weights > 0, weights * loss, 0.0).sum(axis=0)
 
 
-def _normal(model, state, free, loss_scale, points, pixels, weights) -> _Normal:
-    residual, for_camera, for_point = model._block_jacobians(state, points, pixels)
-    costs = _summed_loss(residual, loss_scale, weights)
-    # A hidden observation may be anything, also infinite: it must not reach a product.
-    seen = (weights > 0)[:, None]
-    residual = jnp.where(seen, residual, 0.0)
+def _linearise(model, state, loss_scale, points, pixels, weights) -> _Linear:
+    residual, for_camera, for_point = model._block_columns(state, points, pixels)
+    seen = weights > 0
+    residual = [jnp.where(seen, value, 0.0) for value in residual]
+    square = sum(value**2 for value in residual)
+    loss = loss_scale**2 * jnp.log1p(square / loss_scale**2)
     # Weighting alone, without the loss's curvature (Triggs et al. 2000, 4.3): with it, points whose loss is concave
     # along a residual were sent far off and steps failed one after the other (measured on real recordings).
-    root = jnp.sqrt(weights / (1.0 + (residual**2).sum(axis=1) / loss_scale**2))[:, None]
-    for_camera = jnp.where(seen[:, :, None] & free[:, None, :, None], for_camera, 0.0) * root[:, :, None]
-    for_point = jnp.where(seen[:, :, None], for_point, 0.0) * root[:, :, None]
-    residual = residual * root
-    cameras = for_camera.shape[0]
-    flat = jnp.moveaxis(for_camera, 2, 1).reshape(cameras, model.camera_size, -1)
-    return _Normal(
-        cameras=jnp.einsum("cpn,cqn->cpq", flat, flat),
-        camera_gradient=jnp.einsum("cpn,cn->cp", flat, residual.reshape(cameras, -1)),
-        cross=(for_camera[:, :, :, None] * for_point[:, :, None]).sum(axis=1),
-        points=(for_point[:, :, :, None] * for_point[:, :, None]).sum(axis=(0, 1)),
-        point_gradient=(for_point * residual[:, :, None]).sum(axis=(0, 1)),
-        costs=costs,
+    root = jnp.sqrt(weights / (1.0 + square / loss_scale**2))
+
+    return _Linear(
+        [value * root for value in residual],
+        [tuple(column * root for column in row) for row in for_camera],
+        [tuple(column * root for column in row) for row in for_point],
+        (weights * loss).sum(axis=0),
     )
 
 
-def inverse_3x3(matrix: Float[Array, "3 3 B"]) -> Float[Array, "3 3 B"]:
-    """Inverse of symmetric 3 x 3 matrices by cofactors; the identity where a point is not seen at all."""
+def _point_normal(linear: _Linear, damping) -> tuple[Float[Array, "6 B"], Float[Array, "3 B"]]:
+    """Roots of the damped 3 x 3 blocks of a block of points, and their gradients."""
+
+    def summed(first, second):
+        return sum((a * b).sum(axis=0) for a, b in zip(first, second))
+
+    by_axis = list(zip(*linear.for_point))
+    normal = {(i, j): summed(by_axis[i], by_axis[j]) for i in range(3) for j in range(i + 1)}
+    for i in range(3):
+        normal[i, i] = normal[i, i] * (1.0 + damping)
+    return cholesky_3x3(normal), jnp.stack([summed(axis, linear.residual) for axis in by_axis])
+
+
+def cholesky_3x3(matrix: dict[tuple[int, int], Float[Array, "*B"]]) -> Float[Array, "6 *B"]:
+    """Lower roots of symmetric 3 x 3 matrices, given by their lower entries: 1 / l00, l10, 1 / l11, l20, l21, 1 / l22.
+
+    The identity where a point is not seen at all; pivots that vanish, as for a point that one camera alone sees, are
+    held at 1e-15 of the trace.
+    """
     trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
     seen = trace > 0
-    scale = jnp.where(seen, trace, 1.0)
-    a, b, c = matrix[0, 0] / scale, matrix[0, 1] / scale, matrix[0, 2] / scale
-    d, e, f = matrix[1, 1] / scale, matrix[1, 2] / scale, matrix[2, 2] / scale
-    one = jnp.where(seen, 1e-15, 1.0)  # keeps points that one camera alone sees away from 0 / 0
-    a, d, f = a + one, d + one, f + one
-    aa, bb, cc = d * f - e * e, c * e - b * f, b * e - c * d
-    dd, ee, ff = a * f - c * c, b * c - a * e, a * d - b * b
-    factor = 1.0 / ((a * aa + b * bb + c * cc) * scale)
-    return jnp.stack([jnp.stack([aa, bb, cc]), jnp.stack([bb, dd, ee]), jnp.stack([cc, ee, ff])]) * factor[None, None]
+    least = jnp.where(seen, 1e-15 * trace, 1.0)
+
+    def pivot(square):
+        return jax.lax.rsqrt(jnp.maximum(square, least))
+
+    first = pivot(matrix[0, 0])
+    l10, l20 = matrix[1, 0] * first, matrix[2, 0] * first
+    second = pivot(matrix[1, 1] - l10 * l10)
+    l21 = (matrix[2, 1] - l20 * l10) * second
+    third = pivot(matrix[2, 2] - l20 * l20 - l21 * l21)
+    return jnp.stack([first, l10, second, l20, l21, third])
 
 
-def _damped(points: Float[Array, "3 3 B"], damping) -> Float[Array, "3 3 B"]:
-    return points * (1.0 + damping * jnp.eye(3, dtype=points.dtype)[:, :, None])
+def _forward(root, vector):
+    """L^-1 v for vectors of three arrays."""
+    first = vector[0] * root[0]
+    second = (vector[1] - root[1] * first) * root[2]
+    return first, second, (vector[2] - root[3] * first - root[4] * second) * root[5]
+
+
+def _backward(root, vector):
+    """L^-T v for vectors of three arrays."""
+    third = vector[2] * root[5]
+    second = (vector[1] - root[4] * third) * root[2]
+    return (vector[0] - root[1] * second - root[3] * third) * root[0], second, third
+
+
+def _cross(for_camera, for_point, root) -> Float[Array, "C p 3*B"]:
+    """The cross term times the inverse of the transposed root, the axes of the points one after another.
+
+    The root's inverse goes to the small factor of J_c^T (J_x L^-T), not to the large product.
+    """
+    by_axis = zip(*(_forward(root[:, None], row) for row in for_point))
+    parts = [sum(a * b[:, None] for a, b in zip(for_camera, axis)) for axis in by_axis]
+    return jnp.concatenate(parts, axis=-1)
+
+
+def _observations(problem: Problem) -> tuple[Float[Array, "NB C 2 B"], Float[Array, "NB C B"]]:
+    """Pixels and weights; what is hidden may be anything, also infinite, and must not reach a product."""
+    return jnp.where(problem.weights[:, :, None] > 0, problem.pixels, 0.0), problem.weights
 
 
 def _reduced(model, y: Unknowns, problem: Problem, point_damping):
@@ -268,33 +307,90 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
     cameras, size = y.cameras.shape
 
     def add(carry, block):
-        diagonal, gradient, product, moved = carry
-        normal = _normal(model, state, problem.free, problem.loss_scale, *block)
-        inverse = inverse_3x3(_damped(normal.points, point_damping))
-        solved = (normal.cross[:, :, :, None] * inverse[None, None]).sum(axis=2)
-        left = solved.reshape(cameras * size, -1)
-        product = product + left @ normal.cross.reshape(cameras * size, -1).T
-        moved = moved + left @ normal.point_gradient.reshape(-1)
-        kept = _Eliminated(normal.cross, inverse, normal.point_gradient, normal.costs)
-        return (diagonal + normal.cameras, gradient + normal.camera_gradient, product, moved), kept
+        diagonal, gradient, product = carry
+        linear = _linearise(model, state, problem.loss_scale, *block)
+        root, pull = _point_normal(linear, point_damping)
+        for_camera = [jnp.stack(row, axis=1) for row in linear.for_camera]
+        for own, residual in zip(for_camera, linear.residual):
+            diagonal = diagonal + jnp.einsum("cpn,cqn->cpq", own, own)
+            gradient = gradient + jnp.einsum("cpn,cn->cp", own, residual)
+        left = _cross(for_camera, linear.for_point, root).reshape(cameras * size, -1)
+        gradient = gradient - (left @ jnp.concatenate(_forward(root, pull))).reshape(cameras, size)
+        return (diagonal, gradient, product + left @ left.T), _Eliminated(root, pull, linear.costs)
 
     dtype, total = y.cameras.dtype, cameras * size
     start = (
         jnp.zeros((cameras, size, size), dtype),
         jnp.zeros((cameras, size), dtype),
         jnp.zeros((total, total), dtype),
-        jnp.zeros(total, dtype),
     )
-    blocks = (y.points, problem.pixels, problem.weights)
-    (diagonal, gradient, product, moved), kept = jax.lax.scan(add, start, blocks)
-    prior = jnp.where(problem.free, problem.prior_weight, 0.0)
-    gradient = gradient + prior * (y.cameras - problem.prior_mean)
+    blocks = (y.points, *_observations(problem))
+    (diagonal, gradient, product), kept = jax.lax.scan(add, start, blocks)
+    free = problem.free
+    prior = jnp.where(free, problem.prior_weight, 0.0)
+    diagonal = jnp.where(free[:, :, None] & free[:, None, :], diagonal, 0.0)
+    gradient = jnp.where(free, gradient, 0.0) + prior * (y.cameras - problem.prior_mean)
     diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)[None]
-    return diagonal, product, gradient.reshape(-1) - moved, kept
+    free = free.reshape(-1)
+    product = jnp.where(free[:, None] & free[None, :], product, 0.0)
+    return diagonal, product, gradient.reshape(-1), kept
 
 
-def _camera_step(diagonal, product, gradient, damping) -> tuple[Float[Array, "C p"], Float[Array, ""]]:
-    """The damped step of the cameras, and the change of cost that its parts would make one by one."""
+PANEL = 64
+
+
+def solve_positive(matrix: Float[Array, "D D"], right: Float[Array, " D"]) -> Float[Array, " D"]:
+    """Solve with a symmetric positive definite matrix by a blocked Cholesky root; NaN where it is not positive.
+
+    LAPACK sees small matrices only: its threads fight with XLA's for the cores of a busy machine (a root of 240
+    columns took 0.6 ms alone and 250 ms beside another program).
+    """
+    size = right.shape[0]
+    if size <= 1.5 * PANEL:
+        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), right)
+    count = -(-size // PANEL)
+    total = count * PANEL
+    pad = total - size
+    matrix = jnp.pad(matrix, (0, pad)) + jnp.diag(jnp.where(jnp.arange(total) < size, 0.0, 1.0).astype(right.dtype))
+
+    def eliminate(left, panel):
+        matrix, right = left
+        at = panel * PANEL
+        column = jax.lax.dynamic_slice(matrix, (0, at), (total, PANEL))
+        inverse = _inverse_root(jax.lax.dynamic_slice(column, (at, 0), (PANEL, PANEL)))
+        below = jnp.where(jnp.arange(total)[:, None] >= at + PANEL, column, 0.0) @ inverse.T
+        solved = inverse @ jax.lax.dynamic_slice(right, (at,), (PANEL,))
+        return (matrix - below @ below.T, right - below @ solved), (below, inverse, solved)
+
+    def substitute(found, panel):
+        at, (below, inverse, solved) = panel[0] * PANEL, panel[1]
+        part = inverse.T @ (solved - below.T @ found)
+        return jax.lax.dynamic_update_slice(found, part, (at,)), None
+
+    panels = jnp.arange(count)
+    start = (matrix, jnp.pad(right, (0, pad)))
+    _, kept = jax.lax.scan(eliminate, start, panels)
+    found, _ = jax.lax.scan(substitute, jnp.zeros_like(start[1]), (panels, kept), reverse=True)
+    return found[:size]
+
+
+def _inverse_root(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L^-1 of M = L L^T by elimination beside the unit matrix."""
+    size = matrix.shape[0]
+    rows = jnp.arange(size)
+
+    def eliminate(k, both):
+        factor = jnp.where(rows > k, both[:, k] / both[k, k], 0.0)
+        return both - factor[:, None] * both[k][None]
+
+    both = jax.lax.fori_loop(0, size, eliminate, jnp.concatenate([matrix, jnp.eye(size, dtype=matrix.dtype)], axis=1))
+    return both[:, size:] * jax.lax.rsqrt(jnp.diagonal(both))[:, None]
+
+
+def _camera_step(
+    diagonal, product, gradient, damping
+) -> tuple[Float[Array, "C p"], Float[Array, ""], Float[Array, ""]]:
+    """The damped step of the cameras, what it promises to gain, and the change that its parts would make singly."""
     cameras, size, _ = diagonal.shape
     own = jnp.diagonal(diagonal, axis1=1, axis2=2)
     scale = jnp.where(own > 0, own, 1.0)
@@ -306,53 +402,80 @@ def _camera_step(diagonal, product, gradient, damping) -> tuple[Float[Array, "C 
     held = (own <= 0).reshape(-1)
     # In units in which every diagonal entry of the undamped camera block is 1; a held parameter gets a lone 1.
     matrix = matrix / (scale[:, None] * scale[None, :]) + jnp.diag(jnp.where(held, 1.0, damping))
-    factor = jax.scipy.linalg.cho_factor(matrix)
-    scaled = -jax.scipy.linalg.cho_solve(factor, gradient / scale)
-    return (scaled / scale).reshape(cameras, size), (scaled**2).sum()
+    scaled = -solve_positive(matrix, gradient / scale)
+    step = (scaled / scale).reshape(cameras, size)
+    return step, -gradient @ step.reshape(-1), (scaled**2).sum()
 
 
 def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
-    """The unknowns after one damped step, the cost before and after, and the reach of the camera step.
+    """The unknowns after one damped step, the cost before and after, and promise and reach of the camera step.
 
     Every point whose own cost would grow stays where it is: one wild point of a robust problem must not make the
     whole step fail.
     """
     point_damping = jnp.zeros_like(damping) if project_points else damping
     diagonal, product, gradient, kept = _reduced(model, y, problem, point_damping)
-    step, reach = _camera_step(diagonal, product, gradient, damping)
+    step, promise, reach = _camera_step(diagonal, product, gradient, damping)
     moved = model.retract(y.cameras, problem.constants, step)
-    state = model.state(moved, problem.constants)
+    here, state = model.state(y.cameras, problem.constants), model.state(moved, problem.constants)
 
     def update(total, block):
         points, pixels, weights, eliminated = block
         if project_points:
-            trial = points + _point_step(model, state, problem.loss_scale, points, pixels, weights, point_damping)
+            moves = [_point_step(model, state, problem.loss_scale, points, pixels, weights, point_damping)]
         else:
-            pull = eliminated.gradient + (eliminated.cross * step[:, :, None, None]).sum(axis=(0, 1))
-            trial = points - (eliminated.inverse * pull[None]).sum(axis=1)
-        both = jnp.concatenate([points, trial], axis=1)
-        seen, twice = jnp.concatenate([pixels, pixels], axis=2), jnp.concatenate([weights, weights], axis=1)
-        stay, go = jnp.split(_point_costs(model, state, problem.loss_scale, both, seen, twice), 2)
-        better = go < stay
-        return total + jnp.where(better, go, stay).sum(), jnp.where(better[None], trial, points)
+            linear = _linearise(model, here, problem.loss_scale, points, pixels, weights)
+            carried = [sum(column * step[:, i, None] for i, column in enumerate(row)) for row in linear.for_camera]
+            moves = _substitute(linear, eliminated, carried, problem.loss_scale, weights, damping)
+        trials = [points, *(points + move for move in moves)]
+        costs = jnp.stack([_point_costs(model, state, problem.loss_scale, trial, pixels, weights) for trial in trials])
+        # NaN never wins.
+        best = jnp.argmin(jnp.where(jnp.isnan(costs), jnp.inf, costs), axis=0)
+        chosen = jnp.take_along_axis(jnp.stack(trials), best[None, None], axis=0)[0]
+        return total + costs.min(axis=0).sum(), chosen
 
-    blocks = (y.points, problem.pixels, problem.weights, kept)
+    blocks = (y.points, *_observations(problem), kept)
     cost, points = jax.lax.scan(update, _prior_cost(moved, problem), blocks)
     before = _prior_cost(y.cameras, problem) + kept.costs.sum()
-    return Unknowns(moved, points), before, cost, reach
+    return Unknowns(moved, points), before, cost, promise, reach
+
+
+LEAP = 4.0
+
+
+def _substitute(linear: _Linear, eliminated: _Eliminated, carried, loss_scale, weights, damping):
+    """Steps of the points that follow the cameras: Gauss-Newton's, Newton's with the loss's curvature, and a leap.
+
+    A point whose views disagree creeps under Gauss-Newton with robust weights, and a few such points would set the
+    number of steps of the whole. The curvature may make its block indefinite: then its step is simply no good, and
+    where the loss is concave a leap along Gauss-Newton's step gains most.
+    """
+    by_axis = list(zip(*linear.for_point))
+
+    def summed(first, second):
+        return sum((a * b).sum(axis=0) for a, b in zip(first, second))
+
+    pull = [own + summed(axis, carried) for own, axis in zip(eliminated.gradient, by_axis)]
+    # d^2 rho / 2 = w J^T J - 2 (w J^T r) (w J^T r)^T / s^2
+    slope = [sum(a * b for a, b in zip(axis, linear.residual)) for axis in by_axis]
+    bend = 2.0 / (loss_scale**2 * jnp.where(weights > 0, weights, 1.0))
+    along = sum(a * b for a, b in zip(linear.residual, carried))
+    block = {
+        (i, j): summed(by_axis[i], by_axis[j]) * (1.0 + damping * (i == j)) - (bend * slope[i] * slope[j]).sum(axis=0)
+        for i in range(3)
+        for j in range(i + 1)
+    }
+    bent = [own - (bend * axis * along).sum(axis=0) for own, axis in zip(pull, slope)]
+    roots = (eliminated.root, pull), (cholesky_3x3(block), bent)
+    plain, newton = (-jnp.stack(_backward(root, _forward(root, gradient))) for root, gradient in roots)
+    return [plain, newton, LEAP * plain]
 
 
 def _point_step(model, state, loss_scale, points, pixels, weights, damping) -> Float[Array, "3 B"]:
     """One damped Gauss-Newton step of the points alone."""
-    residual, jacobian = model._block_point_jacobians(state, points, pixels)
-    weight = weights / (1.0 + (residual**2).sum(axis=1) / loss_scale**2)
-    root = jnp.where(weights > 0, jnp.sqrt(weight), 0.0)[:, None]
-    seen = (weights > 0)[:, None]
-    residual = jnp.where(seen, residual, 0.0) * root
-    jacobian = jnp.where(seen[:, :, None], jacobian, 0.0) * root[:, :, None]
-    normal = (jacobian[:, :, :, None] * jacobian[:, :, None]).sum(axis=(0, 1))
-    gradient = (jacobian * residual[:, :, None]).sum(axis=(0, 1))
-    return -(inverse_3x3(_damped(normal, damping)) * gradient[None]).sum(axis=1)
+    linear = _linearise(model, state, loss_scale, points, pixels, weights)
+    root, gradient = _point_normal(linear, damping)
+    return -jnp.stack(_backward(root, _forward(root, gradient)))
 
 
 def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Float[Array, "NB 3 B"]:
@@ -364,7 +487,7 @@ def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int
 
         def step(carry, _):
             points, damping, cost = carry
-            move = _point_step(model, state, problem.loss_scale, points, pixels, weights, damping[None, None])
+            move = _point_step(model, state, problem.loss_scale, points, pixels, weights, damping)
             trial = points + move
             after = _point_costs(model, state, problem.loss_scale, trial, pixels, weights)
             better = after < cost
@@ -375,4 +498,4 @@ def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int
         begin = (start, jnp.full_like(cost, 1e-4), cost)
         return None, jax.lax.scan(step, begin, None, length=steps)[0][0]
 
-    return jax.lax.scan(block, None, (y.points, problem.pixels, problem.weights))[1]
+    return jax.lax.scan(block, None, (y.points, *_observations(problem)))[1]

@@ -14,7 +14,7 @@ from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.hypotheses import Lenses, known_numbers
 from jaxpoint.calibration.initial import Inputs, Start, starts
 from jaxpoint.calibration.lens_choice import choose_lens
-from jaxpoint.calibration.outliers import Settled, settle
+from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Calibration, PairTable, Stage, Verdict
@@ -26,8 +26,10 @@ from jaxpoint.tracks import Tracks
 
 Progress = Callable[[str, int, int], None]
 HOPELESS = 3.0  # candidates that cost this many times more than the best are not followed up
-SUSPECT = 0.75  # and one that keeps less than this share is not called good
-DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is tried again from elsewhere
+DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
+PROMISING = 1.005  # those that keep this many times more when grown are followed to the end,
+LOST = 0.9  # and below this share all of them
+SUSPECT = 0.75  # one that keeps less than this share is not called good
 
 
 def calibrate(
@@ -112,30 +114,24 @@ def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str,
 
 
 def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSettings) -> Settled:
-    """Settle from the best start; where much of what the pairs believe is lost, from the others too."""
-    recording = inputs.recording
+    """Settle from the best start; where much of what the pairs believe is lost, look at the others too."""
+    recording, freedom = inputs.recording, inputs.freedom
     expected = inputs.kept.sum()
-    best = settle(recording, candidates[0].state, inputs.freedom, settings.outliers)
-    tried = [candidates[0]]
+    first = grow(recording, candidates[0].state, freedom)
+    best = settle(recording, first, freedom, settings.outliers)
     for candidate in candidates[1:]:
-        doubtful = best.judged.kept.sum() < DOUBTFUL * expected or not best.converged
-        if not doubtful or candidate.cost > HOPELESS * candidates[0].cost:
+        share = best.judged.kept.sum() / max(expected, 1)
+        if (share >= DOUBTFUL and best.converged) or candidate.cost > HOPELESS * candidates[0].cost:
             break
-        if any(_alike(candidate, other) for other in tried):
+        grown = grow(recording, candidate.state, freedom)
+        if share >= LOST and best.converged and grown.kept.sum() <= PROMISING * first.kept.sum():
             continue
-        tried.append(candidate)
-        other = settle(recording, candidate.state, inputs.freedom, settings.outliers)
+        other = settle(recording, grown, freedom, settings.outliers)
         best = other if other.cost < best.cost else best
     if not best.converged:
-        again = settle(recording, best.judged.state, inputs.freedom, settings.outliers)
+        again = settle(recording, grow(recording, best.judged.state, freedom), freedom, settings.outliers)
         best = again if again.cost < best.cost else best
     return best
-
-
-def _alike(first: Start, second: Start) -> bool:
-    """Whether two starts have the same cost and focal lengths within 5 %, and so lead to the same rig."""
-    focals = np.abs(first.state.cameras[:, FOCAL] - second.state.cameras[:, FOCAL]).max()
-    return bool(focals < 0.05 and abs(first.cost - second.cost) < 0.05 * max(first.cost, second.cost))
 
 
 def _pair_stage(geometry: TwoViewGeometry, names: tuple[str, ...]) -> Stage:
