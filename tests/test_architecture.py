@@ -11,7 +11,7 @@ import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (
-    ("errors",),
+    ("errors", "compilation"),
     ("config",),
     ("geometry",),
     ("camera",),

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray
 
 Method = Literal["magsac", "ransac", "lmeds", "8point"]
@@ -217,7 +218,7 @@ def draw_samples(rng: np.random.Generator, seen: Bool[np.ndarray, " N"], lenses:
     return Samples(rng.choice(visible, (lenses, samples, 7)), np.resize(rng.permutation(visible), SCORED))
 
 
-@partial(jax.jit, static_argnames="method")
+@partial(jit, static_argnames="method")
 def robust_fundamental(
     draws: Samples,
     points_a: Float[Array, "N 2"],
@@ -290,7 +291,7 @@ def _gradient2(fundamental, rays_a, rays_b, slopes_a, slopes_b) -> Float[Array, 
     return jnp.maximum((slope_a**2).sum(axis=1) + (slope_b**2).sum(axis=1), 1e-20)
 
 
-@jax.jit
+@jit
 def lens_table(
     points_a: Float[Array, "N 2"],
     points_b: Float[Array, "N 2"],

@@ -17,6 +17,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxpoint.calibration.schur import AbstractModel, Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.compilation import jit
 from jaxpoint.geometry import rotation
 
 POSE, FOCAL, ASPECT, CENTER, RADIAL, TANGENTIAL, K3 = slice(0, 6), 6, 7, slice(8, 10), slice(10, 12), slice(12, 14), 14
@@ -120,7 +121,7 @@ class Adjusted(eqx.Module):
     settled: Array  # False where the step limit came first
 
 
-@eqx.filter_jit
+@jit
 def solve(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
     """Run the structured Levenberg-Marquardt through optimistix. One program for every number of steps and loss."""
     solution = optx.least_squares(solver.model.residuals, solver, start, args=problem, max_steps=500, throw=False)

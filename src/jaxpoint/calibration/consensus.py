@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.camera.distortion import Brown
+from jaxpoint.compilation import jit
 
 MAX_PAIRS = 128  # of a large rig, this many pairs are tried
 FIRM = 0.5  # of the threshold: two views that agree to this are no chance
@@ -46,7 +47,7 @@ def _pairs(recording: Recording) -> np.ndarray:
     return np.array(pairs + [pairs[0]] * missing)
 
 
-@jax.jit
+@jit
 def _search(pixels, visible, rotation, cameras, pairs, threshold):
     focal = jnp.stack([jnp.exp(cameras[:, 6] + cameras[:, 7]), jnp.exp(cameras[:, 6])], axis=1)
     plane = (pixels - cameras[None, :, 8:10]) / focal[None]

@@ -63,6 +63,46 @@ class ProjectiveModel(AbstractModel):
             ]
         )
 
+    def columns(self, state, point, pixel):
+        """The derivatives of `residual`, written out; see `BrownModel.columns` for the divisions."""
+        numbers, half_diagonal, object_space = state
+        a, b, c = _project(numbers, point)
+        near, far = (1.0 - self.eta) ** 0.5, self.eta**0.5
+        third = jnp.where(jnp.abs(c) < 1e-9, 1e-9, c)
+        u, v = a / third, b / third
+        square = u * u + v * v
+        inner = 1.0 - 4.0 * numbers[12] * square
+        root = jnp.sqrt(jnp.maximum(inner, 1e-4))
+        shrink = 2.0 / (1.0 + root)
+        slope = jnp.where(inner > 1e-4, shrink * shrink, 0.0) / root
+        by_square, by_lens = slope * numbers[12], slope * square
+        bilinear, zero = object_space > 0, jnp.zeros_like(u)
+        scale = half_diagonal / third
+        cross = scale * 2.0 * u * v * by_square
+        along_u = scale * (shrink + 2.0 * u * u * by_square)
+        along_v = scale * (shrink + 2.0 * v * v * by_square)
+        # Residuals, and their derivatives by a, b, c and the lens: of the factorisation, and of the adjustment.
+        factorisation = (
+            (near * (a - c * pixel[0]), near, zero, -near * pixel[0], zero),
+            (near * (b - c * pixel[1]), zero, near, -near * pixel[1], zero),
+            (far * (a - pixel[0]), far, zero, zero, zero),
+            (far * (b - pixel[1]), zero, far, zero, zero),
+        )
+        adjustment = (
+            (half_diagonal * (u * shrink - pixel[0]), along_u, cross, -(along_u * u + cross * v), u * by_lens),
+            (half_diagonal * (v * shrink - pixel[1]), cross, along_v, -(cross * u + along_v * v), v * by_lens),
+            (zero,) * 5,
+            (zero,) * 5,
+        )
+        residual, for_camera, for_point = [], [], []
+        for linear, bent in zip(factorisation, adjustment):
+            value, *by_row, lens = (jnp.where(bilinear, first, second) for first, second in zip(linear, bent))
+            residual.append(value)
+            homogeneous = (point[0], point[1], point[2], 1.0)
+            for_camera.append((*(by * x for by in by_row for x in homogeneous), half_diagonal * lens))
+            for_point.append(tuple(sum(by * numbers[4 * i + j] for i, by in enumerate(by_row)) for j in range(3)))
+        return tuple(residual), tuple(for_camera), tuple(for_point)
+
     def retract(self, cameras, constants, step):
         """Plain addition; lambda moves at most 0.1 a step."""
         return cameras + step.at[:, 12].set(jnp.clip(step[:, 12], -0.1, 0.1))

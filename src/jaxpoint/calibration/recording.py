@@ -25,6 +25,7 @@ from jaxpoint.calibration.bundle import (
     to_blocks,
 )
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
+from jaxpoint.compilation import jit
 from jaxpoint.config import LensSettings
 from jaxpoint.tracks import Tracks
 
@@ -201,7 +202,7 @@ def place_points(recording: Recording, state: RigState, kept: np.ndarray, loss_s
     return RigState(state.cameras, state.base, from_blocks(_placed(start, problem)))
 
 
-@jax.jit
+@jit
 def _placed(start: Unknowns, problem: Problem):
     return solve_points(SOLVER.model, start, problem, POINT_STEPS)
 
@@ -220,7 +221,7 @@ def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, ste
     return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)))
 
 
-@jax.jit
+@jit
 def _projected(turned, numbers, points):
     model = BrownModel()
 

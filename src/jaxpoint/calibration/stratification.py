@@ -7,13 +7,13 @@ the image centre. Coordinates: pixels from the image centre over half the image 
 
 from __future__ import annotations
 
-from functools import partial
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
+
+from jaxpoint.compilation import jit_once
 
 FOCALS = (0.2, 4.0)  # in half diagonals: 160 to 20 degrees of view along the diagonal
 GRID = 30
@@ -153,11 +153,7 @@ def refine(root: Float[Array, "4 3"], views: Views) -> tuple[Float[Array, "4 3"]
     return solution.value, jnp.where(jnp.isfinite(cost), cost, HUGE**2)
 
 
-# These two run once or twice: quick to compile is worth more than quick to run.
-_compiled_quickly = partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-
-
-@_compiled_quickly
+@jit_once
 def candidates(views: Views, pairs: Int[Array, "R 2"]) -> tuple[Float[Array, "K 4 3"], Float[Array, " K"]]:
     """Refined upgrade hypotheses, best first: the linear quadric and the focal grids of some reference pairs.
 
@@ -183,7 +179,7 @@ class Upgraded(eqx.Module):
     in_front: Float[Array, ""]  # fraction of the observations in front of their camera
 
 
-@_compiled_quickly
+@jit_once
 def upgrade(
     root: Float[Array, "4 3"], views: Views, points: Float[Array, "F 4"], visible: Bool[Array, "F C"]
 ) -> Upgraded:
