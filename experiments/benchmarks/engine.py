@@ -88,9 +88,11 @@ def task_of(problem: BundleProblem, rtol: float, steps: int, block: int = bundle
     """The problem as the engine takes it: dense blocks of points, no priors, plain least squares."""
     cameras, base = as_unknown(problem)
     pixels, weights, points = dense(problem, block)
-    model = BalModel() if problem.parameters == 9 else bundle.BrownModel()
+    free = free_of(problem.parameters)
+    held = tuple(np.flatnonzero(~free).tolist())
+    model = BalModel() if problem.parameters == 9 else bundle.BrownModel(held=held)
     nothing = jnp.zeros(cameras.shape)
-    free = jnp.asarray(np.broadcast_to(free_of(problem.parameters), cameras.shape))
+    free = jnp.asarray(np.broadcast_to(free, cameras.shape))
     data = Problem(
         jnp.asarray(bundle.to_blocks(pixels, block)),
         jnp.asarray(bundle.to_blocks(weights, block)),

@@ -32,6 +32,12 @@ class BrownModel(AbstractModel):
 
     camera_size: ClassVar[int] = SIZE
     residual_size: ClassVar[int] = 2
+    held: tuple[int, ...] = eqx.field(static=True, default=())  # parameters that never move, left out of every product
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """All that are not held."""
+        return tuple(i for i in range(SIZE) if i not in self.held)
 
     def state(self, cameras, constants):
         """Rotation matrices and the remaining numbers of the cameras; `constants` are the base rotations (C, 3, 3)."""
@@ -121,12 +127,14 @@ class Adjusted(eqx.Module):
     settled: Array  # False where the step limit came first
 
 
-@jit
-def solve(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
+def solved(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
     """Run the structured Levenberg-Marquardt through optimistix. One program for every number of steps and loss."""
     solution = optx.least_squares(solver.model.residuals, solver, start, args=problem, max_steps=500, throw=False)
     value, stats = solution.value, solution.stats
     return Adjusted(value.cameras, value.points, stats["cost"], stats["num_steps"], stats["settled"])
+
+
+solve = jit(solved)
 
 
 def to_blocks(values: np.ndarray, block: int = BLOCK) -> np.ndarray:

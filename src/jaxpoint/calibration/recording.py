@@ -174,6 +174,7 @@ class Solved:
 
 SOLVER = SchurLevenbergMarquardt(model=BrownModel())
 POINT_STEPS = 8
+LARGE_RIG = 16  # cameras
 
 
 def adjust(
@@ -189,7 +190,9 @@ def adjust(
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()
     problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
-    solver = SchurLevenbergMarquardt(model=SOLVER.model, rtol=jnp.asarray(rtol), atol=SOLVER.atol)
+    # Of a large rig the products dominate; of a small one another compilation would.
+    held = tuple(np.flatnonzero(~freedom.free.any(axis=0)).tolist()) if recording.cameras >= LARGE_RIG else ()
+    solver = SchurLevenbergMarquardt(model=BrownModel(held=held), rtol=jnp.asarray(rtol), atol=SOLVER.atol)
     end = solve(solver, start, problem)
     solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
     return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.tracks import Tracks
 
 if TYPE_CHECKING:
+    from jaxpoint.calibration.recording import Freedom
     from jaxpoint.camera.rig import CameraRig
 
 
@@ -68,6 +69,8 @@ class Calibration:
     alignment: Any | None = None  # calibration.alignment.Alignment once aligned
     camera_covariance: Float[np.ndarray, "D D"] | None = None  # of the free camera parameters, when known
     seed: int = 0
+    freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
+    loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
 
     @property
     def kept(self) -> Bool[np.ndarray, "F C"]:

@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
@@ -48,6 +49,11 @@ class AbstractModel(eqx.Module):
 
     camera_size: eqx.AbstractClassVar[int]
     residual_size: eqx.AbstractClassVar[int]
+
+    @property
+    def moving(self) -> tuple[int, ...]:
+        """The camera parameters that the reduced system knows; the others are held, whatever `Problem.free` says."""
+        return tuple(range(self.camera_size))
 
     @abc.abstractmethod
     def state(self, cameras: Float[Array, "C p"], constants: PyTree[Array]) -> PyTree[Array]:
@@ -126,7 +132,7 @@ class _Linear(eqx.Module):
 class _Eliminated(eqx.Module):
     """What the points' step needs of every block, kept from the elimination; stacked over NB blocks."""
 
-    cross: Float[Array, "*NB C p 3 B"]  # times the inverse of the transposed root
+    cross: Float[Array, "*NB C m 3 B"]  # times the inverse of the transposed root
     root: Float[Array, "*NB 6 B"]
     gradient: Float[Array, "*NB 3 B"]  # times the inverse of the root
     costs: Float[Array, "*NB B"]  # of every point, before the step
@@ -159,6 +165,7 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
     norm: Callable[[PyTree], Array] = eqx.field(static=True, default=optx.max_norm)
     start_damping: float = 1e-4
     project_points: bool = eqx.field(static=True, default=False)
+    axis: str | None = eqx.field(static=True, default=None)  # of the mesh over which blocks are spread (`parallel`)
 
     MIN_DAMPING: ClassVar[float] = 1e-10  # below it the reduced system of a free gauge is not always positive
     MAX_DAMPING: ClassVar[float] = 1e12
@@ -178,7 +185,7 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
 
     def step(self, fn, y: Unknowns, args: Problem, options: dict[str, Any], state: SchurState, tags):
         """One trial: kept if it lowers the cost."""
-        trial, before, cost, promise, reach = _trial(self.model, y, args, state.damping, self.project_points)
+        trial, before, cost, promise, reach = _trial(self.model, y, args, state.damping, self.project_points, self.axis)
         better = cost < before  # False for NaN
         decrease = jnp.where(better, before - cost, 0.0)
         # What single points of a robust problem still gain long after the cameras stand must not hold up the end;
@@ -308,19 +315,25 @@ def _observations(problem: Problem) -> tuple[Float[Array, "NB C 2 B"], Float[Arr
     return jnp.where(problem.weights[:, :, None] > 0, problem.pixels, 0.0), problem.weights
 
 
-def _reduced(model, y: Unknowns, problem: Problem, point_damping):
-    """Camera blocks (C, p, p), what eliminating the points takes from them (D, D), the gradient left (D,); D = C p.
+def _total(values, axis: str | None):
+    """Sums over all devices, where the blocks are spread over some."""
+    return values if axis is None else jax.lax.psum(values, axis)
 
-    And what the points' own step needs afterwards.
+
+def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | None = None):
+    """Camera blocks (C, m, m), what eliminating the points takes from them (D, D), the gradient left (D,); D = C m.
+
+    Of the m parameters that move, and what the points' own step needs afterwards.
     """
     state = model.state(y.cameras, problem.constants)
-    cameras, size = y.cameras.shape
+    moving = np.array(model.moving)
+    cameras, size = len(y.cameras), len(moving)
 
     def add(carry, block):
         diagonal, gradient, product = carry
         linear = _linearise(model, state, problem.loss_scale, *block)
         root, pull = _point_normal(linear, point_damping)
-        for_camera = [jnp.stack(row, axis=1) for row in linear.for_camera]
+        for_camera = [jnp.stack([row[i] for i in moving], axis=1) for row in linear.for_camera]
         for own, residual in zip(for_camera, linear.residual):
             diagonal = diagonal + jnp.einsum("cpn,cqn->cpq", own, own)
             gradient = gradient + jnp.einsum("cpn,cn->cp", own, residual)
@@ -337,11 +350,12 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping):
         jnp.zeros((total, total), dtype),
     )
     blocks = (y.points, *_observations(problem))
-    (diagonal, gradient, product), kept = jax.lax.scan(add, start, blocks)
-    free = problem.free
-    prior = jnp.where(free, problem.prior_weight, 0.0)
+    sums, kept = jax.lax.scan(add, start, blocks)
+    diagonal, gradient, product = _total(sums, axis)
+    free = problem.free[:, moving]
+    prior = jnp.where(free, problem.prior_weight[:, moving], 0.0)
     diagonal = jnp.where(free[:, :, None] & free[:, None, :], diagonal, 0.0)
-    gradient = jnp.where(free, gradient, 0.0) + prior * (y.cameras - problem.prior_mean)
+    gradient = jnp.where(free, gradient, 0.0) + prior * (y.cameras - problem.prior_mean)[:, moving]
     diagonal = diagonal + prior[:, :, None] * jnp.eye(size, dtype=dtype)[None]
     free = free.reshape(-1)
     product = jnp.where(free[:, None] & free[None, :], product, 0.0)
@@ -419,16 +433,17 @@ def _camera_step(
     return step, -gradient @ step.reshape(-1), (scaled**2).sum()
 
 
-def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
+def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool, axis: str | None = None):
     """The unknowns after one damped step, the cost before and after, and promise and reach of the camera step.
 
     Where the whole step would fail, every point whose own cost grew stays where it is: one wild point of a robust
     problem must not hold up the others. (Always done, it would spoil good steps: Ladybug-49 took 183 instead of 27.)
     """
     point_damping = jnp.zeros_like(damping) if project_points else damping
-    diagonal, product, gradient, kept = _reduced(model, y, problem, point_damping)
+    diagonal, product, gradient, kept = _reduced(model, y, problem, point_damping, axis)
     step, promise, reach = _camera_step(diagonal, product, gradient, damping)
-    moved = model.retract(y.cameras, problem.constants, step)
+    whole = jnp.zeros_like(y.cameras).at[:, np.array(model.moving)].set(step)
+    moved = model.retract(y.cameras, problem.constants, whole)
     state = model.state(moved, problem.constants)
 
     def update(total, block):
@@ -447,8 +462,9 @@ def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool):
         return total + jnp.stack([costs[:-1].min(axis=0).sum(), costs.min(axis=0).sum()]), (gone, safe)
 
     blocks = (y.points, *_observations(problem), kept)
-    costs, (gone, safe) = jax.lax.scan(update, jnp.full(2, _prior_cost(moved, problem)), blocks)
-    before = _prior_cost(y.cameras, problem) + kept.costs.sum()
+    costs, (gone, safe) = jax.lax.scan(update, jnp.zeros(2, step.dtype), blocks)
+    costs, before = _total((costs, kept.costs.sum()), axis)
+    costs, before = costs + _prior_cost(moved, problem), before + _prior_cost(y.cameras, problem)
     fine = costs[0] < before
     points = jnp.where(fine, gone, safe)
     return Unknowns(moved, points), before, jnp.where(fine, costs[0], costs[1]), promise, reach

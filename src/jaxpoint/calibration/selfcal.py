@@ -104,7 +104,10 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
     seconds = {"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]}
     stages = [_pair_stage(geometry, tracks.names), *stages, _adjustment_stage(settled)]
     explained = settled.judged.kept.sum() / max(inputs.kept.sum(), 1)
-    return _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed, float(explained))
+    found = _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed, float(explained))
+    parts = (freedom.free, freedom.prior_mean, freedom.prior_weight)
+    loss_scale = 2.0 * settled.sigma_px if settings.outliers.loss == "cauchy" else None
+    return replace(found, freedom=Freedom(*(part[: tracks.cameras] for part in parts)), loss_scale=loss_scale)
 
 
 def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:
