@@ -1,14 +1,17 @@
 """The whole calibration on random rooms, against their truth."""
 
 import logging
+from dataclasses import replace
 
 import jax
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from jaxpoint.calibration import selfcal
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.outliers import grow, settle
-from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
@@ -238,3 +241,31 @@ def test_fewer_lens_parameters_are_held_at_zero(dense, distortion):
     np.testing.assert_array_equal(coefficients[:, free:], 0.0)
     np.testing.assert_allclose(found.rig.cameras.center, np.tile((np.array([1280, 720]) - 1) / 2, (4, 1)))
     np.testing.assert_allclose(found.rig.cameras.focal[:, 0], found.rig.cameras.focal[:, 1])
+
+
+@pytest.mark.parametrize(("seed", "spoil"), [(5, "swapped"), (5, "turned"), (13, "turned"), (7, "random")])
+def test_a_wrong_rig_is_not_called_good(seed, spoil, monkeypatch):
+    """From starts that no initialiser would give: the end is right, or marked."""
+    room, found = room_of(seed), selfcal.starts
+
+    def spoilt(inputs, method):
+        starts, stages = found(inputs, method)
+        state, count = starts[0].state.rebased(), room.tracks.cameras
+        cameras, base = state.cameras.copy(), state.base.copy()
+        rng = np.random.default_rng(3)
+        if spoil == "swapped":
+            order = np.concatenate([np.roll(np.arange(count), 1), np.arange(count, len(cameras))])
+            cameras[:, :6], base = cameras[order, :6], base[order]
+        elif spoil == "turned":
+            angles = rng.uniform(60.0, 120.0, (count, 1))
+            base[:count] = Rotation.from_euler("y", angles, degrees=True).as_matrix() @ base[:count]
+        else:
+            base[:count] = Rotation.random(count, random_state=4).as_matrix()
+            cameras[:count, 3:6] = rng.normal(size=(count, 3))
+        return [replace(starts[0], state=RigState(cameras, base, state.points))], stages
+
+    monkeypatch.setattr(selfcal, "starts", spoilt)
+    end = calibrate(room.tracks)
+    assert centre_error(np.asarray(end.rig.positions), room.positions) > 0.1, "the start was not bad enough"
+    assert not end.converged
+    assert "probably wrong" in end.message
