@@ -8,7 +8,7 @@ WORKERS ?= auto
 CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report
 TYPED := $(shell echo $(CHECKED:%=jaxpoint.%) beartype.beartype | tr ' ' ',')
 
-.PHONY: demo test lint
+.PHONY: demo test lint bench-quick
 
 demo: $(VENV)/.core
 	$(BIN)/jaxpoint demo --out demo-run --force
@@ -20,6 +20,10 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+# Beside Ceres (libceres-dev, cmake and a C++ compiler); fails where a ratio got worse than the committed baseline's.
+bench-quick: $(VENV)/.dev
+	$(BIN)/python experiments/benchmarks/bundle_adjustment.py --quick
 
 $(VENV)/.core: pyproject.toml | $(VENV)/pyvenv.cfg
 	$(PIP) install --editable .

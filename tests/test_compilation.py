@@ -1,10 +1,13 @@
-"""Our `jit` beside `jax.jit`."""
+"""Our `jit` beside `jax.jit`, and programs kept for later."""
+
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
 import pytest
 
-from jaxpoint.compilation import jit, jit_once
+from jaxpoint.compilation import jit, jit_once, keep_programs
 
 
 @pytest.mark.parametrize("ours", [jit, jit_once])
@@ -29,3 +32,17 @@ def test_other_errors_pass():
 
     with pytest.raises(ValueError, match="mine"):
         fails(1.0)
+
+
+def test_programs_are_kept_apart_by_version_and_processor(tmp_path, monkeypatch):
+    script = (
+        "import pathlib, sys, jax, jax.numpy as jnp; from jaxpoint.compilation import jit, keep_programs;"
+        "print(keep_programs(pathlib.Path(sys.argv[1]))); jit(lambda x: jnp.sin(x) @ x)(jnp.ones(8))"
+    )
+    ran = subprocess.run([sys.executable, "-c", script, tmp_path], capture_output=True, text=True, check=True)
+    (own,) = tmp_path.iterdir()
+    assert ran.stdout.strip() == str(own)
+    assert any(own.iterdir())
+    monkeypatch.setattr("jaxpoint.compilation._processor", lambda: "another")
+    monkeypatch.setattr(jax.config, "update", lambda name, value: None)
+    assert keep_programs(tmp_path) != own

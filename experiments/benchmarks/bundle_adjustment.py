@@ -70,6 +70,8 @@ class BundleAdjustment:
     """Folder of real recordings, for BAL; the environment variable JAXPOINT_DATA if not given."""
     rtol: float = 1e-8
     """The engine's tolerance; Ceres's function tolerance is 1e-8."""
+    devices: int = 2
+    """Devices of this machine over which the engine spreads the points; Ceres has as many threads."""
     ceres: bool = True
     """Run the peer Ceres."""
     scipy: bool = True
@@ -224,7 +226,7 @@ def bal_problem(data: Path | None) -> BundleProblem:
 
 def compared(case: Case, options: BundleAdjustment, program: Path | None) -> Row:
     """Every solver on one problem: costs first, then times in turn."""
-    with Worker(case.file, rtol=options.rtol) as engine:
+    with Worker(case.file, rtol=options.rtol, devices=options.devices) as engine:
         if program is None:
             warm = [engine.solve() for _ in range(options.repeats)]
             row = engine_row(case, engine.first, warm)
@@ -317,8 +319,8 @@ def with_scipy(row: Row, case: Case) -> Row:
 
 def cached_first_s(case: Case, options: BundleAdjustment, programs: Path) -> float:
     """Seconds of the first call in a fresh process that finds its programs compiled."""
-    first_call(case.file, rtol=options.rtol, cache=programs)
-    return first_call(case.file, rtol=options.rtol, cache=programs)["first_s"]
+    first_call(case.file, rtol=options.rtol, cache=programs, devices=options.devices)
+    return first_call(case.file, rtol=options.rtol, cache=programs, devices=options.devices)["first_s"]
 
 
 def same_cost(row: Row) -> bool:

@@ -22,11 +22,13 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from bal import BalModel, read_bal
+from jax.sharding import Mesh
 from problem import BundleProblem, read_problem
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration import bundle
+from jaxpoint.calibration import bundle, parallel
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.compilation import keep_programs
 
 TOLERANCE = 1e-8
 
@@ -43,23 +45,34 @@ class Engine:
     """Relative decrease of the cost below which the solver sees no progress."""
     steps: int = 200
     """Stop after so many steps."""
+    devices: int = 1
+    """Over so many devices of this machine the points are spread: of a CPU, its cores."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """All that `bundle.solve` takes."""
+    """All that `bundle.solve` takes, and the devices to do it on, where there are several."""
 
     solver: SchurLevenbergMarquardt
     start: Unknowns
     data: Problem
+    mesh: Mesh | None = None
+
+    def spread(self) -> Task:
+        """The same task laid over all devices."""
+        mesh = parallel.device_mesh()
+        return Task(self.solver, *parallel.spread(mesh, self.start, self.data), mesh)
 
 
 def main(options: Engine) -> None:
     """Solve once, then once for every line read."""
     imported_mb = memory_mb("VmRSS")
+    if options.devices > 1:
+        jax.config.update("jax_num_cpu_devices", options.devices)
     if options.cache is not None:
         keep_programs(options.cache)
     task = task_of(load(options.problem), options.rtol, options.steps)
+    task = task.spread() if options.devices > 1 else task
     end, first_s = solve(task)
     figures = {"first_s": first_s, "device": jax.devices()[0].device_kind}
     figures |= {"steps": int(end.steps), "settled": bool(end.settled)}
@@ -80,7 +93,11 @@ def load(path: Path) -> BundleProblem:
 def solve(task: Task) -> tuple[bundle.Adjusted, float]:
     """The one call that is measured, and its seconds."""
     started = time.perf_counter()
-    end = jax.block_until_ready(bundle.solve(task.solver, task.start, task.data))
+    if task.mesh is None:
+        end = bundle.solve(task.solver, task.start, task.data)
+    else:
+        end = parallel.solve_on(task.mesh, task.solver, task.start, task.data)
+    end = jax.block_until_ready(end)
     return end, time.perf_counter() - started
 
 
@@ -160,13 +177,6 @@ def cost_of(problem: BundleProblem, end: bundle.Adjusted) -> float:
     _, base = as_unknown(problem)
     cameras = as_cameras(np.asarray(end.cameras), base, problem.parameters)
     return problem.cost(cameras, bundle.from_blocks(end.points)[: len(problem.points)])
-
-
-def keep_programs(folder: Path) -> None:
-    """Switch jax's cache of compiled programs on, for all of them."""
-    jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 
 
 def memory_mb(name: str) -> float:

@@ -21,11 +21,11 @@ class Worker:
     `first` is what its first call told; its `process_s` counts from the start of the process to the end of that call.
     """
 
-    def __init__(self, problem: Path, *, rtol: float, cache: Path | None = None) -> None:
+    def __init__(self, problem: Path, *, rtol: float, cache: Path | None = None, devices: int = 1) -> None:
         started = time.perf_counter()
         kept = [] if cache is None else ["--cache", str(cache)]
         self._process = subprocess.Popen(
-            [sys.executable, SCRIPT, str(problem), "--rtol", str(rtol), *kept],
+            [sys.executable, SCRIPT, str(problem), "--rtol", str(rtol), "--devices", str(devices), *kept],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             text=True,
@@ -55,7 +55,7 @@ class Worker:
         self._process.communicate()
 
 
-def first_call(problem: Path, *, rtol: float, cache: Path | None = None) -> dict[str, Any]:
+def first_call(problem: Path, *, rtol: float, cache: Path | None = None, devices: int = 1) -> dict[str, Any]:
     """The first call in a fresh process, and nothing else."""
-    with Worker(problem, rtol=rtol, cache=cache) as worker:
+    with Worker(problem, rtol=rtol, cache=cache, devices=devices) as worker:
         return worker.first

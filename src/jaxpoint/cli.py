@@ -117,9 +117,10 @@ def _run(command: Command, console: Console) -> Outcome:
         return command.run(console)
     import jax
 
+    from jaxpoint.compilation import keep_programs
+
     if command.runtime.compilation_cache is not None:
-        jax.config.update("jax_compilation_cache_dir", str(command.runtime.compilation_cache.absolute()))
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        keep_programs(command.runtime.compilation_cache)
     with jax.enable_x64(True):
         return command.run(console)
 
