@@ -18,15 +18,16 @@ cameras or points, u = sum of w G^T d over the anchors, and K = (sum of w G^T G)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.special import exp1
 
-from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE, BrownModel, from_blocks, to_blocks
+from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE, BrownModel, to_blocks
 from jaxpoint.calibration.hypotheses import known_numbers
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Calibration
@@ -36,12 +37,13 @@ from jaxpoint.compilation import jit
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
 from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm
-from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.linalg import symmetric_full, symmetric_inverse
+from jaxpoint.geometry.line import Ray
 from jaxpoint.triangulation import triangulate
 
 MODEL = BrownModel()
 FREEDOMS = 7  # of a similarity: translation, rotation vector (rad), log scale
+NO_LOSS = 50.0  # (loss scale / sigma)^2 / 2 from which a robust loss costs less than 2 % and counts as none
 MANY = 8  # clicked anchors are padded to multiples of this, so that few programs are compiled
 
 
@@ -82,6 +84,7 @@ class Anchors(eqx.Module):
     click_sigma_px: float = 1.0  # standard deviation of one clicked coordinate
 
 
+@runtime_checkable
 class Clicks(Protocol):
     """Points clicked in images, as `LandmarkPixels` holds them."""
 
@@ -149,7 +152,9 @@ def uncertainty_of(calibration: Calibration, anchors: Anchors | None = None) -> 
             hold the frame.
     """
     if calibration.freedom is None:
-        raise UsageError("This calibration does not say which of its numbers were free; calibrate again from its tracks.")
+        raise UsageError(
+            "This calibration does not say which of its numbers were free; calibrate again from its tracks."
+        )
     if anchors is not None and (calibration.alignment is None or calibration.alignment.method == "floor"):
         raise UsageError("Anchors belong to a calibration aligned by landmarks or camera centres; align it so first.")
     with jax.enable_x64(True):
@@ -179,8 +184,25 @@ def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | 
 
 
 def variance_px2(calibration: Calibration) -> float:
-    """TODO"""
-    return calibration.sigma_px**2
+    """The variance (px^2) by which the inverse of J^T J, every believed observation weighing alike, is to be scaled.
+
+    For least squares that of a pixel coordinate. A robust loss pays for its insurance with a larger one: with weights
+    w = 1 / (1 + r^2 / c^2) of residuals of two normal coordinates the sandwich of an M-estimator comes to
+    E[w^2 r^2 / 2] over E[w^2]^2 (Huber 1981, chapter 7; the slope of w r is w^2 on average over directions), 1.09 times
+    the variance of least squares for c = 2 sigma. In simulation (6 cameras, 200 points, 100 recalibrations of either
+    kind) squared errors of the shape were 1.08 to 1.12 times those of least squares. The inverse of the weighted
+    J^T W J promises 1.22 times, Huber's estimate from the residuals themselves 0.93: points of few views absorb too
+    much of those.
+    """
+    variance = calibration.sigma_px**2
+    if calibration.loss_scale is None:
+        return variance
+    q = (calibration.loss_scale / calibration.sigma_px) ** 2 / 2.0
+    if q > NO_LOSS:
+        return variance
+    weight = float(q * np.exp(q) * exp1(q))  # E[w]
+    square = q * (1.0 - weight)  # E[w^2]
+    return variance * q * (weight - square) / square**2
 
 
 class Network(eqx.Module):
@@ -224,7 +246,7 @@ def _network(recording: Recording, rig: CameraRig, calibration: Calibration, fre
     points, seen = np.zeros((len(recording.visible), 3)), np.zeros(recording.visible.shape, bool)
     points[: recording.frames] = calibration.points
     seen[: recording.frames, :count] = calibration.kept & calibration.point_valid[:, None]
-    blocks = (jnp.asarray(to_blocks(values)) for values in (points, seen))
+    blocks = jnp.asarray(to_blocks(points)), jnp.asarray(to_blocks(seen))
     return Network(jnp.asarray(base), jnp.asarray(numbers), *blocks, jnp.asarray(free), jnp.asarray(prior))
 
 
@@ -237,6 +259,11 @@ def _inner(recording: Recording, calibration: Calibration) -> Anchoring:
 
 def _outer(recording: Recording, calibration: Calibration, anchors: Anchors) -> Anchoring:
     """The known places, weighted as `align_to_landmarks` weights them."""
+    known = sum(int(np.isfinite(part).sum()) for part in (anchors.light, anchors.centres, anchors.clicked))
+    if known < 3:
+        raise InsufficientDataError(
+            f"{known} anchors do not hold a frame; it takes three or more that are off one line."
+        )
     light, centres = np.zeros(len(recording.visible)), np.zeros(len(recording.image_sizes))
     light[: recording.frames] = np.where(calibration.point_valid, anchors.light**-2.0, 0.0)
     centres[: recording.cameras] = anchors.centres**-2.0
@@ -337,13 +364,18 @@ def _centre_by_pose(base: Float[Array, "3 3"], translation: Float[Array, "3"]) -
     return jnp.concatenate([-base.T @ so3.skew(translation), -base.T], axis=1)
 
 
+def _centre_by_numbers(camera: Camera) -> Float[Array, "3 15"]:
+    pose = camera.cam_from_world
+    return jnp.pad(_centre_by_pose(pose.rotation, pose.translation), ((0, 0), (0, PARAMETERS - 6)))
+
+
 @jit
 def _adjusted(network: Network, anchoring: Anchoring, variance: Float[Array, ""]) -> Adjusted:
+    """Two passes over the points: one for the cameras and the frame, one for the points' own covariances."""
     count = network.numbers.shape[0]
-    ways = jax.vmap(_camera_ways)(network.base, network.numbers)
+    ways = jax.vmap(_camera_ways)(network.base, network.numbers).reshape(count * SIZE, FREEDOMS)
     own_blocks, taken, gauge = _sums(network, anchoring, variance)
-    loose = variance * _any_frame(own_blocks, taken, network, ways.reshape(count * SIZE, FREEDOMS))
-    ways = ways.reshape(count * SIZE, FREEDOMS)
+    loose = variance * _any_frame(own_blocks, taken, network, ways)
     hold = jnp.linalg.inv(gauge.normal)
     own = gauge.own + anchoring.measured * gauge.normal
     with_u = loose @ gauge.of_cameras.T  # (D, 7)
@@ -404,9 +436,7 @@ def _centre_sums(network: Network, anchoring: Anchoring) -> _Gauge:
 
     of_cameras, normal = jax.vmap(one)(network.base, network.numbers, anchoring.centres)
     of_cameras = jnp.where(network.free[:, None], of_cameras, 0.0)
-    return _Gauge(
-        of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), jnp.zeros_like(normal[0]), normal.sum(axis=0)
-    )
+    return _Gauge(of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), jnp.zeros_like(normal[0]), normal.sum(axis=0))
 
 
 def _any_frame(own_blocks, taken, network: Network, ways: Float[Array, "D 7"]) -> Float[Array, "D D"]:
@@ -425,3 +455,243 @@ def _any_frame(own_blocks, taken, network: Network, ways: Float[Array, "D 7"]) -
     inverse = jax.scipy.linalg.cho_solve(root, jnp.eye(scale.shape[0], dtype=scale.dtype))
     inverse = jnp.where(held[:, None] | held[None, :], 0.0, inverse)
     return inverse / (scale[:, None] * scale[None, :])
+
+
+class Pixels(eqx.Module):
+    """Where points of the world are seen, and how far that is uncertain because the cameras are."""
+
+    pixels: Float[Array, "*batch C 2"]  # px
+    covariance: Float[Array, "*batch C 2 2"]  # px^2
+
+
+class Points(eqx.Module):
+    """Triangulated points, and the two sources of their error. N points, in the rig's frame and unit."""
+
+    points: Float[Array, "*batch 3"]
+    calibration: Float[Array, "*batch 3 3"]  # covariance, because the cameras are uncertain; shared by all points
+    observation: Float[Array, "*batch 3 3"]  # because their own pixels are; every point's own
+
+    @property
+    def covariance(self) -> Float[Array, "*batch 3 3"]:
+        """Of both together."""
+        return self.calibration + self.observation
+
+
+class Estimate(eqx.Module):
+    """Numbers computed from triangulated points, and the two sources of their error."""
+
+    value: Float[Array, " M"]
+    calibration: Float[Array, "M M"]  # covariance, because the cameras are uncertain
+    observation: Float[Array, "M M"]  # because the points' pixels are
+
+    @property
+    def covariance(self) -> Float[Array, "M M"]:
+        """Of both together."""
+        return self.calibration + self.observation
+
+    @property
+    def sigma(self) -> Float[Array, " M"]:
+        """One standard deviation of each number."""
+        return jnp.sqrt(jnp.maximum(jnp.diagonal(self.covariance), 0.0))
+
+
+@jit
+def pixel_uncertainty(uncertainty: Uncertainty, points: Float[AnyArray, "*batch 3"]) -> Pixels:
+    """Where known points of the rig's world (its unit) are seen, and the covariance that the cameras leave there.
+
+    The points count as exact, and so does the frame that the gauge names: in a free gauge the frame itself is taken
+    from the estimate. Only meaningful where the points lie in front of the camera.
+    """
+    points = as_float(points)
+    blocks = _own_blocks(uncertainty)
+
+    def one(camera: Camera, block: Float[Array, "15 15"], point: Float[Array, "3"]) -> tuple[Array, Array]:
+        by_numbers = _by_numbers(lambda moved: moved.project(point), camera)
+        return camera.project(point), by_numbers @ block @ by_numbers.T
+
+    over_cameras = jax.vmap(one, in_axes=(0, 0, None))
+    flat = points.reshape(-1, 3)
+    pixels, covariance = jax.vmap(over_cameras, in_axes=(None, None, 0))(uncertainty.rig.cameras, blocks, flat)
+    batch = points.shape[:-1]
+    return Pixels(pixels.reshape(*batch, *pixels.shape[1:]), covariance.reshape(*batch, *covariance.shape[1:]))
+
+
+def point_uncertainty(
+    uncertainty: Uncertainty,
+    pixels: Float[AnyArray, "*batch C 2"],
+    visible: Bool[AnyArray, "*batch C"],
+    sigma_px: Float[AnyArray, ""] | float | None = None,
+) -> Points:
+    """Points triangulated from two views or more each, with covariance by source.
+
+    Pixels are as the cameras saw them; hidden ones never matter. A point with fewer than two usable views has zeros
+    for place and calibration part, and an infinite observation part.
+
+    Args:
+        sigma_px: standard deviation of one pixel coordinate; that of the calibration if not given.
+
+    Raises:
+        ValueError: shapes do not fit, or float64 would be cut to float32.
+    """
+    moved = _moved(uncertainty, pixels, visible)
+    by_cameras, by_pixels = moved.by_cameras, moved.by_pixels
+    variance = _variance(uncertainty, sigma_px)
+    size = by_cameras.shape[-1]
+    spread = (by_cameras.reshape(-1, size) @ uncertainty.covariance).reshape(by_cameras.shape)
+    calibration = jnp.einsum("...id,...jd->...ij", spread, by_cameras)
+    observation = variance * jnp.einsum("...id,...jd->...ij", by_pixels, by_pixels)
+    unknown = jnp.diag(jnp.full(3, jnp.inf, observation.dtype))
+    few = ~moved.known[..., None, None]
+    unknown = jnp.broadcast_to(unknown, observation.shape)
+    return Points(moved.points, calibration, jnp.where(few, unknown, observation))
+
+
+def propagated(
+    uncertainty: Uncertainty,
+    pixels: Float[AnyArray, "N C 2"],
+    visible: Bool[AnyArray, "N C"],
+    function: Callable[[Float[Array, "N 3"]], Float[Array, " M"]],
+    sigma_px: Float[AnyArray, ""] | float | None = None,
+) -> Estimate:
+    """Anything that is computed from N triangulated points (`function`, differentiable), with covariance by source.
+
+    All points hang on the same cameras, so their errors are not independent; here that is accounted for. Every point
+    needs two views or more; where one has fewer, the observation part is not finite.
+
+    Raises:
+        ValueError: shapes do not fit, or float64 would be cut to float32.
+    """
+    moved = _moved(uncertainty, pixels, visible)
+    jacobian = jax.jacfwd(function)(moved.points)  # (M, N, 3)
+    by_cameras = jnp.einsum("mni,nid->md", jacobian, moved.by_cameras)
+    by_pixels = jnp.einsum("mni,nid->mnd", jacobian, moved.by_pixels).reshape(jacobian.shape[0], -1)
+    observation = _variance(uncertainty, sigma_px) * by_pixels @ by_pixels.T
+    return Estimate(
+        function(moved.points),
+        by_cameras @ uncertainty.covariance @ by_cameras.T,
+        jnp.where(jnp.all(moved.known), observation, jnp.inf),
+    )
+
+
+def joint_uncertainty(
+    uncertainty: Uncertainty,
+    pixels: Float[AnyArray, "N C 2"],
+    visible: Bool[AnyArray, "N C"],
+    sigma_px: Float[AnyArray, ""] | float | None = None,
+) -> Estimate:
+    """All 3 N coordinates of N points, the first point's x, y, z first, with their full covariance."""
+    return propagated(uncertainty, pixels, visible, jnp.ravel, sigma_px)
+
+
+def length_uncertainty(
+    uncertainty: Uncertainty,
+    pixels: Float[AnyArray, "2 C 2"],
+    visible: Bool[AnyArray, "2 C"],
+    sigma_px: Float[AnyArray, ""] | float | None = None,
+) -> Estimate:
+    """The distance between two triangulated points, M = 1."""
+    return propagated(uncertainty, pixels, visible, lambda ends: safe_norm(ends[1:] - ends[:1]), sigma_px)
+
+
+class Line(eqx.Module):
+    """The line from one triangulated point through another."""
+
+    ray: Ray
+    line: Estimate  # M = 6: origin (rig's unit), then direction (unit length)
+    angles: Estimate  # M = 2: azimuth and elevation of the direction, rad
+
+
+def line_uncertainty(
+    uncertainty: Uncertainty,
+    pixels: Float[AnyArray, "2 C 2"],
+    visible: Bool[AnyArray, "2 C"],
+    sigma_px: Float[AnyArray, ""] | float | None = None,
+) -> Line:
+    """The line from the first point through the second, and its azimuth and elevation."""
+
+    def both(ends: Float[Array, "2 3"]) -> Float[Array, "8"]:
+        ray = Ray.through(ends[0], ends[1])
+        x, y, z = ray.direction
+        angles = jnp.stack([jnp.arctan2(y, x), jnp.arctan2(z, safe_norm(ray.direction[:2]))])
+        return jnp.concatenate([ray.origin, ray.direction, angles])
+
+    whole = propagated(uncertainty, pixels, visible, both, sigma_px)
+    line, angles = (
+        Estimate(whole.value[part], whole.calibration[part, part], whole.observation[part, part])
+        for part in (slice(0, 6), slice(6, 8))
+    )
+    return Line(Ray(line.value[:3], line.value[3:]), line, angles)
+
+
+class _Moved(NamedTuple):
+    """Triangulated points and their derivatives, by the implicit function theorem."""
+
+    points: Float[Array, "*batch 3"]
+    by_cameras: Float[Array, "*batch 3 D"]
+    by_pixels: Float[Array, "*batch 3 K"]  # K = 2 C
+    known: Bool[Array, "*batch"]  # False with fewer than two usable views
+
+
+def _moved(uncertainty: Uncertainty, pixels, visible) -> _Moved:
+    """The gradient of a point's squared pixel error stays 0 while cameras and pixels move."""
+    rig = uncertainty.rig
+    pixels, visible = as_float(pixels), jnp.asarray(visible, bool)
+    points = triangulate(rig, pixels, visible).points
+    finite = jnp.all(jnp.isfinite(pixels), axis=-1)
+    pixels = jnp.where((visible & finite)[..., None], pixels, 0.0)
+    used = visible & finite & rig.undistort(pixels)[1]
+    used = used & (jnp.sum(used, axis=-1, keepdims=True) >= 2)
+    batch, cameras = points.shape[:-1], len(rig)
+    flat = points.reshape(-1, 3), pixels.reshape(-1, cameras, 2), used.reshape(-1, cameras)
+    by_cameras, by_pixels = _derivatives(rig.cameras, *flat)
+    return _Moved(
+        points,
+        by_cameras.reshape(*batch, *by_cameras.shape[1:]),
+        by_pixels.reshape(*batch, *by_pixels.shape[1:]),
+        jnp.any(used, axis=-1),
+    )
+
+
+@jit
+def _derivatives(
+    cameras: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N C 2"], used: Bool[Array, "N C"]
+) -> tuple[Float[Array, "N 3 D"], Float[Array, "N 3 K"]]:
+    """Of triangulated points by the numbers of all cameras, and by all pixels; zero without views."""
+    return jax.vmap(_point_derivatives, in_axes=(None, 0, 0, 0))(cameras, points, pixels, used)
+
+
+def _point_derivatives(
+    cameras: Camera, point: Float[Array, "3"], pixels: Float[Array, "C 2"], used: Bool[Array, " C"]
+) -> tuple[Float[Array, "3 D"], Float[Array, "3 K"]]:
+    def one(camera: Camera, pixel: Float[Array, "2"], use: Bool[Array, ""]) -> tuple[Array, Array, Array]:
+        def gradient(moved: Camera, place: Float[Array, "3"]) -> Float[Array, "3"]:
+            seen, back = jax.vjp(moved.project, place)
+            return back(seen - pixel)[0]
+
+        by_numbers = _by_numbers(lambda moved: gradient(moved, point), camera)
+        hessian = jax.jacfwd(lambda place: gradient(camera, place))(point)
+        by_pixel = -jax.jacfwd(camera.project)(point).T
+        zero = jnp.zeros((), hessian.dtype)
+        return jnp.where(use, hessian, zero), jnp.where(use, by_numbers, zero), jnp.where(use, by_pixel, zero)
+
+    hessian, by_numbers, by_pixel = jax.vmap(one)(cameras, pixels, used)
+    hessian = jnp.where(jnp.any(used), hessian.sum(axis=0), jnp.eye(3, dtype=point.dtype))
+    pull = jnp.concatenate([part.transpose(1, 0, 2).reshape(3, -1) for part in (by_numbers, by_pixel)], axis=1)
+    moved = -jnp.linalg.solve(hessian, pull)
+    size = by_numbers.shape[0] * PARAMETERS
+    return moved[:, :size], moved[:, size:]
+
+
+def _by_numbers(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M 15"]:
+    """Derivative by the 15 numbers of a camera, in the order of `Camera.perturbed`."""
+    return jax.jacfwd(lambda change: function(camera.perturbed(change)))(jnp.zeros(PARAMETERS, camera.focal.dtype))
+
+
+def _own_blocks(uncertainty: Uncertainty) -> Float[Array, "C 15 15"]:
+    """The covariance of every camera by itself."""
+    count = len(uncertainty.rig)
+    return jnp.einsum("cpcq->cpq", uncertainty.covariance.reshape(count, PARAMETERS, count, PARAMETERS))
+
+
+def _variance(uncertainty: Uncertainty, sigma_px) -> Float[Array, ""]:
+    return (uncertainty.sigma_px if sigma_px is None else as_float(sigma_px)) ** 2

@@ -81,9 +81,14 @@ def over_time(summary: Summary) -> Figure:
     frames, cameras = np.nonzero(summary.kept)
     errors = summary.errors[frames, cameras]
     colors = np.array(camera_colors(len(summary.names)))
-    chosen = _at_most(len(frames), _SCATTER)
-    ax.scatter(when[frames[chosen]], errors[chosen], s=3, c=colors[cameras[chosen]], alpha=0.3, lw=0, rasterized=True)
     top = 1.15 * float(np.quantile(errors, 0.995)) if errors.size else 1.0
+    beyond = errors > top  # the band above belongs to what was rejected
+    chosen = _at_most(len(frames), _SCATTER)
+    chosen = chosen[~beyond[chosen]]
+    ax.scatter(when[frames[chosen]], errors[chosen], s=3, c=colors[cameras[chosen]], alpha=0.3, lw=0, rasterized=True)
+    ax.scatter(
+        when[frames[beyond]], np.full(beyond.sum(), 0.98 * top), s=12, marker="^", c=colors[cameras[beyond]], lw=0
+    )
     for camera, name in enumerate(summary.names):
         seen = summary.kept[:, camera]
         if seen.sum() >= 10:
