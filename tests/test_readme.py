@@ -37,9 +37,11 @@ def test_the_python_example_runs(tmp_path, monkeypatch, solved_room, capsys):
     save_tracks(tmp_path / "tracks.npz", calibration.tracks)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxpoint.calibration.selfcal.calibrate", lambda tracks: calibration)
-    (example,) = blocks("python")
+    example, uncertainty, devices = blocks("python")
     names: dict = {}
     exec(example, names)
+    for line in re.findall(r"^from jaxpoint.*", uncertainty + devices, re.MULTILINE):
+        exec(line, names)
     np.testing.assert_allclose(names["camera"].position, solved_room[0].room.positions[2], atol=1e-9)
     assert names["found"].valid.shape == (calibration.tracks.frames,)
     assert capsys.readouterr().out
