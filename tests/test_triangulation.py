@@ -9,7 +9,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from jaxpoint import triangulation
 from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.distortion import NoDistortion
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import Flag, Triangulation, triangulate
@@ -128,6 +130,22 @@ def test_covariance_of_the_cameras_is_added():
     without = triangulate(RIG, PIXELS[frame], VISIBLE[frame], sigma_px=0.5)
     from_cameras = np.asarray(result.covariance - without.covariance)
     np.testing.assert_allclose(empirical_over_predicted(samples, from_cameras), 1, atol=0.12)
+
+
+def test_covariance_of_the_cameras_holds_away_from_the_origin():
+    """A camera turns about the world's origin, wherever the room is: against the derivative of the points."""
+    away = Similarity(np.float64(1.0), np.eye(3), np.array([7.0, -5.0, 3.0]))
+    rig, point = RIG.transformed(away), POINTS[2] + np.array([7.0, -5.0, 3.0])
+    pixels = np.asarray(rig.project(point))
+    sigma = np.tile([1e-3] * 3 + [3e-3] * 3 + [2.0] * 4 + [2e-3, 1e-3, 2e-4, 2e-4, 1e-4], CAMERAS)
+
+    def moved(change):
+        cameras = jax.vmap(Camera.perturbed)(rig.cameras, change.reshape(CAMERAS, 15))
+        return triangulate(eqx.tree_at(lambda rig: rig.cameras, rig, cameras), pixels, VISIBLE[2]).points
+
+    slope = np.asarray(jax.jit(jax.jacfwd(moved))(jnp.zeros(len(sigma))))
+    found = triangulate(rig, pixels, VISIBLE[2], sigma_px=1e-9, camera_covariance=np.diag(sigma**2)).covariance
+    np.testing.assert_allclose(found, slope * sigma**2 @ slope.T, rtol=1e-4)
 
 
 def test_covariance_scales_with_the_noise():
@@ -249,6 +267,43 @@ def test_batches_blocks_and_transformations_agree():
     empty = triangulate(RIG, NOISY[:0], VISIBLE[:0])
     assert empty.points.shape == (0, 3)
     assert empty.residuals.shape == (0, CAMERAS, 2)
+
+
+def test_large_batches_are_worked_on_in_parts(monkeypatch):
+    monkeypatch.setattr(triangulation, "_BLOCK", 128 * CAMERAS)
+    monkeypatch.setattr(triangulation, "_PART", 512)
+    pixels, visible = np.tile(NOISY, (20, 1, 1))[:1200], np.tile(VISIBLE, (20, 1))[:1200]
+    result = triangulate(RIG, pixels, visible)
+    assert_same(result, jax.jit(triangulate)(RIG, pixels, visible))
+    assert_same(triangulate(RIG, jnp.asarray(pixels), jnp.asarray(visible)), result, atol=0)
+
+
+def test_without_covariance_all_else_is_the_same():
+    without = triangulate(RIG, NOISY, VISIBLE, covariance=False)
+    with pytest.raises(ValueError, match="covariance=False"):
+        _ = without.covariance
+    result = eqx.tree_at(lambda t: t.covariance_or_none, triangulate(RIG, NOISY, VISIBLE), None)
+    assert_same(without, result)
+
+
+def test_other_lenses():
+    plain = ring_of_cameras(distorted=False)
+    other = eqx.tree_at(lambda rig: rig.cameras.distortion, plain, NoDistortion())
+    assert_same(triangulate(other, NOISY, VISIBLE), triangulate(plain, NOISY, VISIBLE))
+
+
+def test_many_views():
+    twice = CameraRig(
+        jax.tree.map(lambda leaf: jnp.concatenate([leaf, leaf]), RIG.cameras),
+        jnp.concatenate([RIG.image_sizes] * 2),
+        tuple(f"{name}_{i}" for i in range(2) for name in RIG.names),
+    )
+    result = triangulate(RIG, NOISY, VISIBLE)
+    doubled = triangulate(twice, np.tile(NOISY, (1, 2, 1)), np.tile(VISIBLE, (1, 2)))
+    np.testing.assert_allclose(doubled.points, result.points, atol=1e-9)
+    np.testing.assert_allclose(doubled.covariance, result.covariance / 2, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(doubled.parallax, result.parallax, atol=1e-12)
+    np.testing.assert_allclose(doubled.rms, result.rms, rtol=1e-9)
 
 
 @jax.jit

@@ -6,6 +6,7 @@ on the pixel error of the full camera model follows (Hartley and Zisserman 2004,
 
 from __future__ import annotations
 
+import itertools
 import math
 from enum import IntFlag
 from functools import partial
@@ -14,16 +15,24 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxpoint.camera.camera import PARAMETERS, Camera
+from jaxpoint.camera.distortion import AbstractDistortion, Brown, brown_slopes, undistort_rows
 from jaxpoint.camera.rig import CameraRig
+from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 from jaxpoint.geometry.linalg import Symmetric, Vector, symmetric_full, symmetric_inverse, symmetric_times
 
 MIN_PARALLAX = math.radians(2.0)
-_BLOCK = 1024  # points that are worked on at once on a CPU, so that they stay in its cache
+_BLOCK = 6144  # pixels that are worked on at once on a CPU, so that all about them stays in its cache
+_PART = 2**14  # points that one core of a CPU works on before it takes others
+_LARGE = 2**20  # points in a block elsewhere
 _DAMPING = 1e-6  # of Levenberg-Marquardt at the start, relative to the diagonal
+_SETTLED = 1e-10  # px^2; a step that promises to lower a cost by less is taken unseen, and is the last
+_MANY_VIEWS = 8  # with more, sums over views and pairs of views are not written out: quicker to compile
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 
 
@@ -40,11 +49,22 @@ class Triangulation(eqx.Module):
     """Points seen by C cameras. All entries are finite but the covariance of points with fewer than two views."""
 
     points: Float[Array, "*batch 3"]  # m; 0 with fewer than two views
-    covariance: Float[Array, "*batch 3 3"]  # m^2; infinite on the diagonal with fewer than two views
+    covariance_or_none: Float[Array, "*batch 3 3"] | None  # None if it was not asked for
     residuals: Float[Array, "*batch C 2"]  # px, projected minus observed; 0 for views not used
     rms: Float[Array, "*batch"]  # px, of the residuals' lengths over the views used
     parallax: Float[Array, "*batch"]  # rad, largest angle between two lines of sight, 0 to pi / 2
     flags: Int[Array, "*batch"]  # sum of `Flag`s
+
+    @property
+    def covariance(self) -> Float[Array, "*batch 3 3"]:
+        """Of the points, m^2; infinite on the diagonal with fewer than two views.
+
+        Raises:
+            ValueError: it was not asked for.
+        """
+        if self.covariance_or_none is None:
+            raise ValueError("These points were triangulated with covariance=False and have none; leave that out.")
+        return self.covariance_or_none
 
     @property
     def valid(self) -> Bool[Array, "*batch"]:
@@ -60,6 +80,7 @@ def triangulate(
     sigma_px: Float[AnyArray, ""] | float = 1.0,
     camera_covariance: Float[AnyArray, "D D"] | None = None,
     refine_steps: int = 4,
+    covariance: bool = True,
 ) -> Triangulation:
     """Points of the world from their pixels in two or more cameras, one point or millions.
 
@@ -74,13 +95,17 @@ def triangulate(
         sigma_px: standard deviation of one pixel coordinate, px; scales the covariance.
         camera_covariance: covariance of the rig's numbers, D = 15 C, in the order of `Camera.perturbed` camera by
             camera; its effect is added to the points' covariance.
-        refine_steps: Levenberg-Marquardt steps after the linear solution.
+        refine_steps: Levenberg-Marquardt steps after the linear solution, at most.
+        covariance: whether to give the points' covariance; without it a call on a CPU takes about a fifth less time
+            with two views, a twentieth with six.
 
     Raises:
         ValueError: shapes do not fit, or float64 would be cut to float32.
     """
     as_float(rig.cameras.focal)
-    pixels, visible = as_float(pixels), jnp.asarray(visible, dtype=bool)
+    pixels, visible = (
+        values if isinstance(values, np.ndarray) else jnp.asarray(values) for values in (pixels, visible)
+    )
     cameras = len(rig)
     if pixels.ndim < 2 or pixels.shape[-2:] != (cameras, 2) or visible.shape != pixels.shape[:-1]:
         raise ValueError(
@@ -95,31 +120,46 @@ def triangulate(
         )
     batch = pixels.shape[:-2]
     count = math.prod(batch)
-    block, blocks = _block_shape(count)
-    padding = ((0, block * blocks - count), (0, 0))
-    result = _triangulate(
-        rig.cameras,
-        jnp.pad(pixels.reshape(count, cameras, 2), (*padding, (0, 0))),
-        jnp.pad(visible.reshape(count, cameras), padding),
-        as_float(sigma_px),
-        None if camera_covariance is None else as_float(camera_covariance),
-        refine_steps,
-        block,
-    )
-    return jax.tree.map(lambda leaf: leaf[:count].reshape(*batch, *leaf.shape[1:]), result)
+    pixels, visible = pixels.reshape(count, cameras, 2), visible.reshape(count, cameras)
+    noise = as_float(sigma_px), None if camera_covariance is None else as_float(camera_covariance)
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((rig, pixels, visible, noise)))
+    block, size = _sizes(count, cameras, whole=traced)
+    parts = []
+    for start in range(0, max(count, 1), size):
+        some = slice(start, start + size)
+        seen = _padded(as_float(pixels[some]), size), _padded(jnp.asarray(visible[some], dtype=bool), size)
+        # A call returns before it is done: a CPU works on as many parts at once as it has cores.
+        parts.append(_triangulate(rig.cameras, *seen, *noise, refine_steps, block, covariance))
+    result = parts[0] if len(parts) == 1 and count == size else _joined(tuple(parts), count)
+    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
 
 
-def _block_shape(count: int) -> tuple[int, int]:
-    """Points in a block and number of blocks: few different ones, so that few programs are compiled."""
-    largest = _BLOCK if jax.default_backend() == "cpu" else 2**20
-    if count <= largest:
-        return 1 << max(count - 1, 0).bit_length(), 1
-    blocks = -(-count // largest)
+def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:
+    """Points in a block and in a part, which is whole blocks: few different ones, so that few programs are compiled."""
+    cpu = jax.default_backend() == "cpu"
+    block = 1 << (max(_BLOCK // cameras, 128).bit_length() - 1) if cpu else _LARGE
+    if count <= block:
+        block = 1 << max(count - 1, 0).bit_length()
+        return block, block
+    blocks = -(-count // block)
     step = 1 << max(blocks.bit_length() - 3, 0)
-    return largest, -(-blocks // step) * step
+    size = -(-blocks // step) * step * block
+    return block, min(size, _PART) if cpu and not whole else size
 
 
-@eqx.filter_jit
+def _padded(values: Shaped[Array, "n ..."], size: int) -> Shaped[Array, "size ..."]:
+    """With zeros at the end, if it is too short."""
+    missing = size - len(values)
+    return jnp.pad(values, ((0, missing), *[(0, 0)] * (values.ndim - 1))) if missing else values
+
+
+@partial(jit, static_argnames="count")
+def _joined(parts: tuple[Triangulation, ...], count: int) -> Triangulation:
+    """The first `count` points of all parts."""
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:count], *parts)
+
+
+@partial(jit, static_argnames=("steps", "block", "with_covariance"))
 def _triangulate(
     cameras: Camera,
     pixels: Float[Array, "N C 2"],
@@ -128,63 +168,71 @@ def _triangulate(
     camera_covariance: Float[Array, "D D"] | None,
     steps: int,
     block: int,
+    with_covariance: bool,
 ) -> Triangulation:
     """Blocks of points one after the other, the points on the last axis of everything."""
     # The origin in the middle of the cameras: rounding is then relative to the room, not to where the world begins.
     origin = jnp.mean(jax.vmap(lambda camera: camera.position)(cameras), axis=0)
     shift = jax.vmap(lambda camera: camera.cam_from_world @ origin)(cameras)
     local = eqx.tree_at(lambda camera: camera.cam_from_world.translation, cameras, shift)
-    split = (pixels.reshape(-1, block, *pixels.shape[1:]), visible.reshape(-1, block, visible.shape[1]))
+    rows = jax.tree.map(lambda leaf: jnp.moveaxis(leaf, 0, -1)[..., None], local)
+    # Turned before the loop: within it XLA would leave the views on the last axis in memory.
+    turned = (
+        pixels.reshape(-1, block, *pixels.shape[1:]).transpose(0, 3, 2, 1),
+        visible.reshape(-1, block, visible.shape[1]).transpose(0, 2, 1),
+    )
 
     def one_block(args: tuple[Array, Array]) -> Triangulation:
-        seen = args[0].transpose(2, 1, 0), args[1].T
-        return _triangulate_block(local, origin, *seen, sigma_px, camera_covariance, steps)
+        seen, enough, result = _triangulate_block(rows, *args, steps)
+        points, residuals, normal, rest = result
+        covariance = None
+        if with_covariance:
+            inverse = tuple(entry / seen.views for entry in symmetric_inverse(normal))
+            covariance = sigma_px**2 * symmetric_full(inverse)
+            if camera_covariance is not None:
+                # In the world's own frame, for that is where `Camera.perturbed` turns a camera about.
+                placed = points[0] + origin[0], points[1] + origin[1], points[2] + origin[2]
+                covariance = covariance + _from_cameras(cameras, seen, placed, inverse, camera_covariance)
+            unknown = jnp.where(jnp.eye(3, dtype=bool), jnp.inf, 0.0).astype(covariance.dtype)
+            covariance = jnp.where(enough[:, None, None], covariance, unknown[None])
+        places = [jnp.where(enough, points[i] + origin[i], 0.0) for i in range(3)]
+        return Triangulation(jnp.stack(places, axis=-1), covariance, jnp.stack(residuals).transpose(2, 1, 0), *rest)
 
-    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), jax.lax.map(one_block, split))
+    return jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), jax.lax.map(one_block, turned))
 
 
 def _triangulate_block(
-    cameras: Camera,
-    origin: Float[Array, "3"],
-    pixels: Float[Array, "2 C B"],
-    visible: Bool[Array, "C B"],
-    sigma_px: Float[Array, ""],
-    camera_covariance: Float[Array, "D D"] | None,
-    steps: int,
-) -> Triangulation:
-    """One block; the fields of the result have the points on the first axis again."""
-    finite = jnp.all(jnp.isfinite(pixels), axis=0)
-    pixels = jnp.where((visible & finite)[None], pixels, 0.0)
-    ideal, in_range = _ideal(cameras, pixels)
-    used = visible & finite & in_range
-    views = jnp.sum(used, axis=0)
+    cameras: Camera, pixels: Float[Array, "2 C B"], visible: Bool[Array, "C B"], steps: int
+) -> tuple:
+    """What was seen, where that is enough, and of one block: points, residuals, normal matrix, rms, parallax, flags.
+
+    Here and below the cameras are `rows`: every number of theirs is a column (C, 1) that meets arrays (C, B).
+    """
+    wanted = visible & jnp.isfinite(pixels[0]) & jnp.isfinite(pixels[1])
+    pixel_x, pixel_y = jnp.where(wanted[None], pixels, 0.0)
+    u, v, in_range = _ideal(cameras, pixel_x, pixel_y, wanted)
+    used = wanted & in_range
+    views = _sum(used.astype(pixels.dtype))
     enough = views >= 2
     used = used & enough[None]
-    pixel_x, pixel_y, ideal_x, ideal_y = (jnp.where(used, values, 0.0) for values in (*pixels, *ideal))
-    seen = Seen(pixel_x, pixel_y, ideal_x, ideal_y, used)
+    # The root makes XLA keep the numbers: it would turn bits into numbers anew wherever they are used.
+    weight = jnp.sqrt(jnp.where(used, 1.0, 0.0).astype(pixels.dtype))
+    pixel_x, pixel_y, u, v = (jnp.where(used, values, 0.0) for values in (pixel_x, pixel_y, u, v))
+    seen = Seen(pixel_x, pixel_y, u, v, weight, jnp.maximum(views, 1))
 
-    points = _optimum(cameras, seen, steps)
-    fit = _fit(cameras, seen, points)
-    inverse = symmetric_inverse(fit.normal)
-    covariance = sigma_px**2 * symmetric_full(inverse)
-    if camera_covariance is not None:
-        covariance = covariance + _from_cameras(cameras, seen, points, inverse, camera_covariance)
-    unknown = jnp.where(jnp.eye(3, dtype=bool), jnp.inf, 0.0).astype(covariance.dtype)
+    points, normal = _optimum(cameras, seen, steps)
+    x, y, depth = _projected(cameras, seen, points)
+    residuals = (x - seen.pixel_x) * weight, (y - seen.pixel_y) * weight
+    cost = _mean(seen, residuals[0] ** 2 + residuals[1] ** 2)
     parallax = _parallax(cameras, seen)
     flags = (
-        Flag.BEHIND * (fit.behind > 0)
+        Flag.BEHIND * (_sum(_behind(depth, weight)) > 0)
         + Flag.LOW_PARALLAX * (enough & (parallax < MIN_PARALLAX))
         + Flag.FEW_VIEWS * ~enough
-        + Flag.LENS_RANGE * jnp.any(visible & ~(finite & in_range), axis=0)
+        + Flag.LENS_RANGE * jnp.any(visible & ~(wanted & in_range), axis=0)
     )
-    return Triangulation(
-        points=jnp.stack([jnp.where(enough, points[i] + origin[i], 0.0) for i in range(3)], axis=-1),
-        covariance=jnp.where(enough[:, None, None], covariance, unknown[None]),
-        residuals=_residuals(cameras, seen, points),
-        rms=_safe_sqrt(fit.cost / jnp.maximum(views, 1)),
-        parallax=parallax,
-        flags=flags.astype(jnp.int32),
-    )
+    rest = _safe_sqrt(cost), parallax, flags.astype(jnp.int32)
+    return seen, enough, (points, residuals, normal, rest)
 
 
 class Seen(NamedTuple):
@@ -194,48 +242,72 @@ class Seen(NamedTuple):
     pixel_y: Float[Array, "C B"]
     ideal_x: Float[Array, "C B"]  # undistorted, on the z = 1 plane
     ideal_y: Float[Array, "C B"]
-    used: Bool[Array, "C B"]
+    weight: Float[Array, "C B"]  # 1 where used
+    views: Float[Array, " B"]  # how many are used; 1 at least
 
 
 class Fit(NamedTuple):
     """How points explain what the cameras saw, and the normal equations of a better guess."""
 
-    behind: Float[Array, " B"]  # number of cameras that see the point behind them
-    cost: Float[Array, " B"]  # px^2, sum of squared residuals
+    behind: Float[Array, " B"]  # share of the views used that have the point behind the camera
+    cost: Float[Array, " B"]  # px^2, mean over these views of the squared residuals; so are the others
     gradient: Vector
     normal: Symmetric
 
 
-@partial(jax.custom_jvp, nondiff_argnums=(2,))
-def _optimum(cameras: Camera, seen: Seen, steps: int) -> Vector:
-    """The points of least squared pixel error: the linear start, then Levenberg-Marquardt."""
+class Search(NamedTuple):
+    """Where Levenberg-Marquardt stands with a block of points."""
 
-    def step(_: Int[Array, ""], state: tuple[Vector, Vector, Fit, Array]) -> tuple[Vector, Vector, Fit, Array]:
-        trial, points, fit, damping = state
-        trial_fit = _fit(cameras, seen, trial)
+    step: Int[Array, ""]
+    points: Vector
+    fit: Fit  # there
+    damping: Float[Array, " B"]
+    trial: Vector
+    promise: Float[Array, " B"]  # px^2, by which the trial should lower the cost
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(2,))
+def _optimum(cameras: Camera, seen: Seen, steps: int) -> tuple[Vector, Symmetric]:
+    """The points of least squared pixel error: the linear start, then Levenberg-Marquardt. With their normal matrix."""
+    start = _linear(cameras, seen)
+    if steps == 0:
+        return start, _fit(cameras, seen, start).normal
+
+    def unsettled(search: Search) -> Bool[Array, ""]:
+        return (search.step <= steps) & jnp.any(search.promise > _SETTLED)
+
+    def step(search: Search) -> Search:
+        fit = _fit(cameras, seen, search.trial)
         # A step may bring a point before a camera at any cost, and never behind one. Costs equal to rounding count as
         # less: the last steps of a converging point would else be left out.
-        less = trial_fit.cost <= fit.cost * (1 + 16 * jnp.finfo(damping.dtype).eps)
-        better = (trial_fit.behind < fit.behind) | ((trial_fit.behind == fit.behind) & less)
-        damping = jnp.where(better, damping * 0.1, jnp.maximum(damping, 1e-4) * 30)
-        points, fit = jax.tree.map(partial(jnp.where, better), (trial, trial_fit), (points, fit))
+        less = fit.cost <= search.fit.cost * (1 + 16 * jnp.finfo(fit.cost.dtype).eps)
+        better = (fit.behind < search.fit.behind) | ((fit.behind == search.fit.behind) & less)
+        damping = jnp.where(better, search.damping * 0.1, jnp.maximum(search.damping, 1e-4) * 30)
+        there = (search.trial, fit), (search.points, search.fit)
+        # Nearly always all are. XLA on a CPU makes slow loops where it may write the chosen values over the old ones.
+        points, fit = jax.lax.cond(
+            jnp.all(better), lambda: there[0], lambda: jax.tree.map(partial(jnp.where, better), *there)
+        )
         xx, xy, xz, yy, yz, zz = fit.normal
         more = 1 + damping
         move = symmetric_times(symmetric_inverse((xx * more, xy, xz, yy * more, yz, zz * more)), fit.gradient)
-        return tuple(old - by for old, by in zip(points, move, strict=True)), points, fit, damping
+        promise = move[0] * fit.gradient[0] + move[1] * fit.gradient[1] + move[2] * fit.gradient[2]
+        trial = tuple(old - by for old, by in zip(points, move, strict=True))
+        return Search(search.step + 1, points, fit, damping, trial, promise)
 
-    start = _linear(cameras, seen)
     nothing, infinite = jnp.zeros_like(start[0]), jnp.full_like(start[0], jnp.inf)
     unknown = Fit(infinite, infinite, (nothing,) * 3, (nothing,) * 6)
-    state = start, start, unknown, jnp.full_like(nothing, 10 * _DAMPING)
-    return jax.lax.fori_loop(0, steps + 1, step, state)[1]
+    damping = jnp.full_like(nothing, 10 * _DAMPING)
+    end = jax.lax.while_loop(unsettled, step, Search(jnp.asarray(0), start, unknown, damping, start, infinite))
+    points = jax.tree.map(partial(jnp.where, end.promise <= _SETTLED), end.trial, end.points)
+    return points, end.fit.normal
 
 
 @_optimum.defjvp
-def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, Vector]:
+def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
     """The gradient of the cost stays 0: Hessian times the points' motion balances what moves the gradient."""
     cameras, seen = primals
-    points = _optimum(cameras, seen, steps)
+    points, normal = _optimum(cameras, seen, steps)
 
     def gradient(points: Vector, cameras: Camera, pixels: tuple[Array, Array]) -> Vector:
         return _fit(cameras, seen._replace(pixel_x=pixels[0], pixel_y=pixels[1]), points).gradient
@@ -245,104 +317,142 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[Vector, V
     _, hessian = jax.linearize(lambda x: gradient(x, cameras, pixels), points)
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = (hessian(axis) for axis in _axes(points[0]))
     moved = symmetric_times(symmetric_inverse((xx, xy, xz, yy, yz, zz)), change)
-    known = jnp.any(seen.used, axis=0)
-    return points, tuple(jnp.where(known, -by, 0.0) for by in moved)
+    known = jnp.any(seen.weight > 0, axis=0)
+    points_by = tuple(jnp.where(known, -by, 0.0) for by in moved)
+    _, normal_by = jax.jvp(lambda c, x: _fit(c, seen, x).normal, (cameras, points), (tangents[0], points_by))
+    return (points, normal), (points_by, normal_by)
 
 
-def _ideal(cameras: Camera, pixels: Float[Array, "2 C B"]) -> tuple[Float[Array, "2 C B"], Bool[Array, "C B"]]:
+def _ideal(
+    cameras: Camera, pixel_x: Float[Array, "C B"], pixel_y: Float[Array, "C B"], wanted: Bool[Array, "C B"]
+) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Bool[Array, "C B"]]:
     """Undistorted places on the z = 1 plane, and whether the lens model has them."""
-
-    def one(camera: Camera, pixel: Float[Array, "2 B"]) -> tuple[Array, Array]:
-        xy, valid = camera.distortion.undistort(camera.from_pixel(pixel.T))
-        return xy.T, valid
-
-    return jax.vmap(one, in_axes=(0, 1), out_axes=(1, 0))(cameras, pixels)
+    x, y = (jnp.where(wanted, (pixel_x, pixel_y)[i] - cameras.center[i], 0.0) / cameras.focal[i] for i in range(2))
+    if isinstance(cameras.distortion, Brown):
+        return undistort_rows(cameras.distortion.coefficients, x, y, wanted)
+    ideal, valid = jax.vmap(lambda lens, place: lens.undistort(place))(_from_rows(cameras).distortion, stack_last(x, y))
+    return ideal[..., 0], ideal[..., 1], valid
 
 
 def _linear(cameras: Camera, seen: Seen) -> Vector:
     """Least squares of the rows x P3 - P1 and y P3 - P2 in camera units, each scaled to a distance from its plane."""
-
-    def one(camera: Camera, x: Float[Array, " B"], y: Float[Array, " B"], used: Bool[Array, " B"]) -> tuple:
-        r, t = camera.cam_from_world.rotation, camera.cam_from_world.translation
-        products = []
-        for k, place in enumerate((x, y)):
-            row = [place * r[2, i] - r[k, i] for i in range(3)]
-            weight = jnp.where(used, 1 / (row[0] ** 2 + row[1] ** 2 + row[2] ** 2), 0.0)
-            scaled = [weight * entry for entry in row]
-            offset = place * t[2] - t[k]
-            products.append([scaled[i] * row[j] for i, j in _PAIRS] + [entry * offset for entry in scaled])
-        return tuple(a + b for a, b in zip(*products, strict=True))
-
-    sums = _sum_views(*jax.vmap(one)(cameras, seen.ideal_x, seen.ideal_y, seen.used))
-    return tuple(-value for value in symmetric_times(symmetric_inverse(sums[:6]), sums[6:]))
+    r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
+    rows, scaled, offsets = [], [], []
+    for k, place in enumerate((seen.ideal_x, seen.ideal_y)):
+        row = [place * r[2, i] - r[k, i] for i in range(3)]
+        weight = seen.weight / (1 + place * place)  # the rows of a rotation are unit vectors at right angles
+        rows.append(row)
+        scaled.append([weight * entry for entry in row])
+        offsets.append(place * t[2] - t[k])
+    matrix = tuple(_mean(seen, scaled[0][i] * rows[0][j] + scaled[1][i] * rows[1][j]) for i, j in _PAIRS)
+    vector = tuple(_mean(seen, scaled[0][i] * offsets[0] + scaled[1][i] * offsets[1]) for i in range(3))
+    return tuple(-value for value in symmetric_times(symmetric_inverse(matrix), vector))
 
 
 def _fit(cameras: Camera, seen: Seen, points: Vector) -> Fit:
-    """Cost and normal equations of the full camera model at some points."""
+    """Cost and normal equations of the full camera model at some points.
 
-    def one(camera: Camera, pixel_x: Array, pixel_y: Array, used: Array) -> tuple[Array, ...]:
-        x, y, by_x, by_y, depth = _linearised(camera, points)
-        x, y = jnp.where(used, x - pixel_x, 0.0), jnp.where(used, y - pixel_y, 0.0)
-        by_x, by_y = ([jnp.where(used, entry, 0.0) for entry in row] for row in (by_x, by_y))
-        gradient = [by_x[i] * x + by_y[i] * y for i in range(3)]
-        normal = [by_x[i] * by_x[j] + by_y[i] * by_y[j] for i, j in _PAIRS]
-        return (used & (depth <= 0)).astype(x.dtype), x * x + y * y, *gradient, *normal
-
-    behind, cost, *rest = _sum_views(*jax.vmap(one)(cameras, seen.pixel_x, seen.pixel_y, seen.used))
-    return Fit(behind, cost, tuple(rest[:3]), tuple(rest[3:]))
-
-
-@jax.custom_jvp
-def _sum_views(*terms: Float[Array, "C B"]) -> tuple[Float[Array, " B"], ...]:
-    """Sums over the cameras, all in one pass: XLA would compute the terms anew for every sum of its own."""
-    zero = tuple(jnp.zeros((), dtype=term.dtype) for term in terms)
-    return tuple(jax.lax.reduce(terms, zero, lambda a, b: tuple(map(jnp.add, a, b)), (0,)))
-
-
-@_sum_views.defjvp
-def _sum_views_jvp(terms: tuple, changes: tuple) -> tuple[tuple, tuple]:
-    return _sum_views(*terms), tuple(jnp.sum(change, axis=0) for change in changes)
+    What many sums share ends in a division: XLA on a CPU computes cheap operations anew for every sum, and keeps the
+    result of a division.
+    """
+    r = cameras.cam_from_world.rotation
+    u, v, depth = _on_plane(cameras, seen, points)
+    (bent_x, bent_y), slopes = _bent(cameras, u, v)
+    x = (cameras.focal[0] * bent_x + cameras.center[0] - seen.pixel_x) * seen.weight
+    y = (cameras.focal[1] * bent_y + cameras.center[1] - seen.pixel_y) * seen.weight
+    xx, xy, yx, yy = (cameras.focal[k // 2] * seen.weight * slope / depth for k, slope in enumerate(slopes))
+    u_by, v_by = ([r[k, i] - place * r[2, i] for i in range(3)] for k, place in enumerate((u, v)))
+    x_by = [xx * u_by[i] + xy * v_by[i] for i in range(3)]
+    y_by = [yx * u_by[i] + yy * v_by[i] for i in range(3)]
+    return Fit(
+        _mean(seen, _behind(depth, seen.weight)),
+        _mean(seen, x * x + y * y),
+        tuple(_mean(seen, x_by[i] * x + y_by[i] * y) for i in range(3)),
+        tuple(_mean(seen, x_by[i] * x_by[j] + y_by[i] * y_by[j]) for i, j in _PAIRS),
+    )
 
 
-def _residuals(cameras: Camera, seen: Seen, points: Vector) -> Float[Array, "B C 2"]:
-    """Projected minus observed, px; 0 for views not used."""
-    projected = jax.vmap(lambda camera: camera.project(jnp.stack(points, axis=-1)), out_axes=1)(cameras)
-    observed = jnp.stack([seen.pixel_x.T, seen.pixel_y.T], axis=-1)
-    return jnp.where(seen.used.T[:, :, None], projected - observed, 0.0)
+def _sum(rows: Float[Array, "C B"]) -> Float[Array, " B"]:
+    """Over the views. Written out where they are few: XLA on a CPU has no wide instructions for the sum of rows."""
+    return sum(rows[1:], rows[0]) if len(rows) <= _MANY_VIEWS else jnp.sum(rows, axis=0)
 
 
-def _linearised(camera: Camera, points: Vector) -> tuple[Array, Array, list[Array], list[Array], Array]:
-    """Pixel x and y, their derivatives by the point, and the depth: `Camera.project` taken apart."""
-    r, t = camera.cam_from_world.rotation, camera.cam_from_world.translation
-    right, down, depth = (r[i, 0] * points[0] + r[i, 1] * points[1] + r[i, 2] * points[2] + t[i] for i in range(3))
+def _mean(seen: Seen, rows: Float[Array, "C B"]) -> Float[Array, " B"]:
+    """Over the views used."""
+    return _sum(rows) / seen.views
+
+
+def _on_plane(
+    cameras: Camera, seen: Seen, points: Vector
+) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Float[Array, "C B"]]:
+    """Ideal places of points in every camera, and depths; these never 0, and 1 where a view is not used."""
+    r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
+    x, y, z = points
+    right, down, depth = (r[i, 0] * x[None] + r[i, 1] * y[None] + r[i, 2] * z[None] + t[i] for i in range(3))
     tiny = jnp.finfo(depth.dtype).eps
-    inverse = 1 / jnp.where(jnp.abs(depth) < tiny, tiny, depth)
-    u, v = right * inverse, down * inverse
-    place = stack_last(u, v)
-    along_u, along_v = (jnp.zeros_like(place).at[:, i].set(1.0) for i in range(2))
-    bent, by_u = jax.jvp(camera.distortion.distort, (place,), (along_u,))
-    _, by_v = jax.jvp(camera.distortion.distort, (place,), (along_v,))
-    u_by = [(r[0, i] - u * r[2, i]) * inverse for i in range(3)]
-    v_by = [(r[1, i] - v * r[2, i]) * inverse for i in range(3)]
-    x, y = (camera.focal[k] * bent[:, k] + camera.center[k] for k in range(2))
-    x_by, y_by = ([camera.focal[k] * (by_u[:, k] * u_by[i] + by_v[:, k] * v_by[i]) for i in range(3)] for k in range(2))
-    return x, y, x_by, y_by, depth
+    depth = jnp.where(seen.weight > 0, jnp.where(jnp.abs(depth) < tiny, tiny, depth), 1.0)
+    return right / depth, down / depth, depth
+
+
+def _behind(depth: Float[Array, "C B"], weight: Float[Array, "C B"]) -> Float[Array, "C B"]:
+    """1 where a camera sees a point behind itself."""
+    return jnp.where(depth < 0, weight, 0.0)
+
+
+def _bent(
+    cameras: Camera, u: Float[Array, "C B"], v: Float[Array, "C B"]
+) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Distorted places x', y', and d x'/du, d x'/dv, d y'/du, d y'/dv."""
+    if isinstance(cameras.distortion, Brown):
+        bent, (xx, xy, yy) = brown_slopes(cameras.distortion.coefficients, u, v)
+        return bent, (xx, xy, xy, yy)
+
+    def one(lens: AbstractDistortion, place: Float[Array, "B 2"]) -> tuple[Array, Array, Array]:
+        along_u, along_v = (jnp.zeros_like(place).at[:, i].set(1.0) for i in range(2))
+        bent, by_u = jax.jvp(lens.distort, (place,), (along_u,))
+        return bent, by_u, jax.jvp(lens.distort, (place,), (along_v,))[1]
+
+    bent, by_u, by_v = jax.vmap(one)(_from_rows(cameras).distortion, stack_last(u, v))
+    return (bent[..., 0], bent[..., 1]), (by_u[..., 0], by_v[..., 0], by_u[..., 1], by_v[..., 1])
+
+
+def _projected(
+    cameras: Camera, seen: Seen, points: Vector
+) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Float[Array, "C B"]]:
+    """Pixel x and y and depth of points in every camera; where a view is not used they mean nothing."""
+    u, v, depth = _on_plane(cameras, seen, points)
+    x, y = _bent(cameras, u, v)[0]
+    return cameras.focal[0] * x + cameras.center[0], cameras.focal[1] * y + cameras.center[1], depth
+
+
+def _from_rows(cameras: Camera) -> Camera:
+    """The cameras with their axis first again, as `vmap` takes them."""
+    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf[..., 0], -1, 0), cameras)
 
 
 def _parallax(cameras: Camera, seen: Seen) -> Float[Array, " B"]:
     """Largest angle between the lines of sight, from the chord between their directions: exact where it is small."""
     r = cameras.cam_from_world.rotation
-    rays = [seen.ideal_x * r[:, 0, i, None] + seen.ideal_y * r[:, 1, i, None] + r[:, 2, i, None] for i in range(3)]
-    length = jnp.sqrt(rays[0] ** 2 + rays[1] ** 2 + rays[2] ** 2)
+    rays = [seen.ideal_x * r[0, i] + seen.ideal_y * r[1, i] + r[2, i] for i in range(3)]
+    length = jnp.sqrt(1 + seen.ideal_x**2 + seen.ideal_y**2)
     rays = tuple(ray / length for ray in rays)
 
-    def widen(widest: Array, view: tuple[Vector, Array]) -> tuple[Array, None]:
-        other, used = view
-        apart, summed = (sum((a + sign * b[None]) ** 2 for a, b in zip(rays, other, strict=True)) for sign in (-1, 1))
-        chord2 = jnp.where(seen.used & used[None], jnp.minimum(apart, summed), 0.0)
-        return jnp.maximum(widest, jnp.max(chord2, axis=0)), None
+    def chord2(one: tuple[Array, ...], other: tuple[Array, ...]) -> Array:
+        apart, summed = (sum((a + sign * b) ** 2 for a, b in zip(one, other, strict=True)) for sign in (-1, 1))
+        return jnp.minimum(apart, summed)
 
-    widest, _ = jax.lax.scan(widen, jnp.zeros_like(rays[0][0]), (rays, seen.used))
+    def widen(widest: Array, view: tuple[Vector, Array]) -> tuple[Array, None]:
+        other, weight = view
+        wide = chord2(rays, tuple(part[None] for part in other)) * (seen.weight * weight[None])
+        return jnp.maximum(widest, jnp.max(wide, axis=0)), None
+
+    widest = jnp.zeros_like(rays[0][0])
+    if len(seen.weight) > _MANY_VIEWS:
+        widest, _ = jax.lax.scan(widen, widest, (rays, seen.weight))
+    else:
+        for i, j in itertools.combinations(range(len(seen.weight)), 2):
+            one, other = (tuple(ray[k] for ray in rays) for k in (i, j))
+            widest = jnp.maximum(widest, chord2(one, other) * (seen.weight[i] * seen.weight[j]))
     return 2 * jnp.arcsin(_safe_sqrt(widest) / 2)
 
 
@@ -350,17 +460,18 @@ def _from_cameras(
     cameras: Camera, seen: Seen, points: Vector, inverse: Symmetric, camera_covariance: Float[Array, "D D"]
 ) -> Float[Array, "B 3 3"]:
     """What the cameras' own covariance adds to the points': both move so that the pixel error stays least."""
+    places = jnp.stack(points, axis=-1)
 
-    def one(camera: Camera, used: Bool[Array, " B"]) -> Float[Array, "3 15 B"]:
+    def one(camera: Camera, weight: Float[Array, " B"]) -> Float[Array, "3 15 B"]:
         def pixel(change: Float[Array, "15"]) -> Float[Array, "2 B"]:
-            return camera.perturbed(change).project(jnp.stack(points, axis=-1)).T
+            return camera.perturbed(change).project(places).T
 
-        by_camera = jax.jacfwd(pixel)(jnp.zeros(PARAMETERS, dtype=points[0].dtype))  # (2, B, 15)
-        _, _, by_x, by_y, _ = _linearised(camera, points)
-        rows = [x[:, None] * by_camera[0] + y[:, None] * by_camera[1] for x, y in zip(by_x, by_y, strict=True)]
-        return jnp.where(used[None, None], jnp.stack(rows).transpose(0, 2, 1), 0.0)
+        by_camera = jax.jacfwd(pixel)(jnp.zeros(PARAMETERS, dtype=places.dtype))  # (2, B, 15)
+        by_point = [jax.jvp(camera.project, (places,), (jnp.stack(axis, axis=-1),))[1] for axis in _axes(points[0])]
+        rows = [by[:, 0, None] * by_camera[0] + by[:, 1, None] * by_camera[1] for by in by_point]
+        return jnp.where(weight[None, None] > 0, jnp.stack(rows).transpose(0, 2, 1), 0.0)
 
-    pull = jax.vmap(one)(cameras, seen.used).transpose(3, 1, 0, 2)  # (B, 3, C, 15)
+    pull = jax.vmap(one)(cameras, seen.weight).transpose(3, 1, 0, 2)  # (B, 3, C, 15)
     moved = jnp.einsum("bij,bjd->bid", symmetric_full(inverse), pull.reshape(*pull.shape[:2], -1))
     spread = (moved.reshape(-1, moved.shape[2]) @ camera_covariance).reshape(moved.shape)
     return jnp.einsum("bid,bjd->bij", spread, moved)
