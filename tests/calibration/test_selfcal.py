@@ -243,6 +243,15 @@ def test_fewer_lens_parameters_are_held_at_zero(dense, distortion):
     np.testing.assert_allclose(found.rig.cameras.focal[:, 0], found.rig.cameras.focal[:, 1])
 
 
+def test_a_large_rig_leaves_what_is_held_out_of_its_products():
+    """From 16 cameras on the adjustment is another program; whatever fails in the background fails this test."""
+    room = random_room(3, cameras=16)
+    found = calibrate(room.tracks)
+    assert found.converged
+    assert centre_error(np.asarray(found.rig.positions), room.positions) < 0.05
+    np.testing.assert_array_equal(np.asarray(found.rig.cameras.distortion.coefficients)[:, 2:], 0.0)
+
+
 @pytest.mark.parametrize(("seed", "spoil"), [(5, "swapped"), (5, "turned"), (13, "turned"), (7, "random")])
 def test_a_wrong_rig_is_not_called_good(seed, spoil, monkeypatch):
     """From starts that no initialiser would give: the end is right, or marked."""

@@ -15,6 +15,7 @@ from jaxpoint.calibration import factorization, hypotheses, outliers
 from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.twoview import NormalisedTracks
+from jaxpoint.config import LensSettings
 
 _compiled: set[tuple[int, ...]] = set()  # shapes whose programs this process has
 
@@ -54,6 +55,6 @@ def _adjustment(recording: Recording, data: NormalisedTracks) -> None:
     cameras = np.zeros((size, SIZE))
     cameras[:, FOCAL] = np.log(1000.0)
     state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)))
-    held = Freedom(cameras > np.inf, np.zeros_like(cameras), np.zeros_like(cameras))
-    adjust(recording, state, np.zeros(recording.visible.shape, bool), held, loss_scale=1.0, steps=1)
+    usual = Freedom.of(recording, LensSettings(), "radial2")  # of a large rig, what is free is part of the program
+    adjust(recording, state, np.zeros(recording.visible.shape, bool), usual, loss_scale=1.0, steps=1)
     outliers.judge(recording, state, 1.0)
