@@ -27,15 +27,11 @@ from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
 from jaxpoint.calibration.bundle import CENTER, FOCAL, LEAST_SQUARES, SIZE
 from jaxpoint.calibration.outliers import robust_sigma
 from jaxpoint.calibration.pairs import pair_table
+from jaxpoint.calibration.propagation import joint_uncertainty
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
 from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.calibration.selfcal import calibrate, centred, rig_of
-from jaxpoint.calibration.uncertainty import (
-    Anchors,
-    Uncertainty,
-    joint_uncertainty,
-    uncertainty_of,
-)
+from jaxpoint.calibration.uncertainty import Anchors, Uncertainty, uncertainty_of
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import JaxpointError
 from jaxpoint.simulate.rooms import Room, _displaced, random_room

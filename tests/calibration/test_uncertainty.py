@@ -12,6 +12,7 @@ import pytest
 from scipy.stats import binom
 
 import uncertainty_coverage as coverage
+from jaxpoint.calibration import propagation as prop
 from jaxpoint.calibration import uncertainty as unc
 from jaxpoint.calibration.alignment import Alignment, align_to_landmarks, apply_alignment, umeyama
 from jaxpoint.calibration.bundle import SIZE
@@ -192,18 +193,18 @@ def test_propagation_against_finite_differences_of_the_cameras(tiny, seen):
     def points(rig):
         return np.asarray(triangulate(rig, seen.pixels, seen.visible, refine_steps=12).points)
 
-    pixels = unc.pixel_uncertainty(uncertain, seen.places)
+    pixels = prop.pixel_uncertainty(uncertain, seen.places)
     by_pixel = change(lambda rig: rig.project(seen.places))
     check(pixels.covariance, np.einsum("nci,ncj->ncij", by_pixel, by_pixel))
     by_point = change(points)
-    found = unc.point_uncertainty(uncertain, seen.pixels, seen.visible)
+    found = prop.point_uncertainty(uncertain, seen.pixels, seen.visible)
     check(found.calibration, np.einsum("ni,nj->nij", by_point, by_point))
-    joint = unc.joint_uncertainty(uncertain, seen.pixels, seen.visible)
+    joint = prop.joint_uncertainty(uncertain, seen.pixels, seen.visible)
     check(joint.calibration, np.outer(by_point, by_point))
-    length = unc.length_uncertainty(uncertain, seen.pixels, seen.visible)
+    length = prop.length_uncertainty(uncertain, seen.pixels, seen.visible)
     by_length = change(lambda rig: np.linalg.norm(np.diff(points(rig), axis=0)))
     check(length.calibration, by_length[None, None] ** 2)
-    line = unc.line_uncertainty(uncertain, seen.pixels, seen.visible)
+    line = prop.line_uncertainty(uncertain, seen.pixels, seen.visible)
     by_angle = change(lambda rig: angles_of(points(rig)))
     check(line.angles.calibration, np.outer(by_angle, by_angle))
     np.testing.assert_allclose(line.angles.value, angles_of(points(tiny.calibration.rig)), atol=1e-9)
@@ -216,7 +217,7 @@ def check(found, expected):
 
 def test_propagation_against_finite_differences_of_the_pixels(tiny, seen):
     uncertain, step = along(tiny, np.zeros(45)), 1e-3
-    found = unc.joint_uncertainty(uncertain, seen.pixels, seen.visible, 0.7)
+    found = prop.joint_uncertainty(uncertain, seen.pixels, seen.visible, 0.7)
     by_pixels = np.zeros((6, seen.pixels.size))
     for i in range(seen.pixels.size):
         shift = np.zeros(seen.pixels.size)
@@ -228,15 +229,15 @@ def test_propagation_against_finite_differences_of_the_pixels(tiny, seen):
         by_pixels[:, i] = np.ravel(ends[0].points - ends[1].points) / (2 * step)
     check(found.observation, 0.49 * by_pixels @ by_pixels.T)
     assert (np.asarray(found.calibration) == 0).all()
-    each = unc.point_uncertainty(uncertain, seen.pixels, seen.visible, 0.7)
+    each = prop.point_uncertainty(uncertain, seen.pixels, seen.visible, 0.7)
     np.testing.assert_allclose(each.observation[1], found.observation[3:, 3:], rtol=1e-9)
     np.testing.assert_allclose(each.covariance, each.observation)
 
 
 def test_points_share_the_cameras_errors(tiny, seen):
     uncertain = unc.uncertainty_of(tiny.calibration)
-    joint = unc.joint_uncertainty(uncertain, seen.pixels, seen.visible)
-    each = unc.point_uncertainty(uncertain, seen.pixels, seen.visible)
+    joint = prop.joint_uncertainty(uncertain, seen.pixels, seen.visible)
+    each = prop.point_uncertainty(uncertain, seen.pixels, seen.visible)
     np.testing.assert_allclose(joint.covariance[:3, :3], each.covariance[0], rtol=1e-9)
     assert np.abs(joint.calibration[:3, 3:]).max() > 0
     np.testing.assert_allclose(joint.observation[:3, 3:], 0.0, atol=1e-18)
@@ -245,15 +246,15 @@ def test_points_share_the_cameras_errors(tiny, seen):
 
 def test_functions_are_pure_and_hidden_pixels_never_matter(tiny, seen):
     uncertain = unc.uncertainty_of(tiny.calibration)
-    plain = unc.length_uncertainty(uncertain, seen.pixels, seen.visible)
+    plain = prop.length_uncertainty(uncertain, seen.pixels, seen.visible)
     wild = np.where(seen.visible[..., None], seen.pixels, np.nan)
-    inside = jax.jit(lambda u, pixels: unc.length_uncertainty(u, pixels, seen.visible).covariance)(uncertain, wild)
+    inside = jax.jit(lambda u, pixels: prop.length_uncertainty(u, pixels, seen.visible).covariance)(uncertain, wild)
     np.testing.assert_allclose(inside, plain.covariance, rtol=1e-9)
     few = seen.visible & np.array([True, False, False])
-    lost = unc.point_uncertainty(uncertain, seen.pixels, few)
+    lost = prop.point_uncertainty(uncertain, seen.pixels, few)
     assert np.isinf(np.diagonal(lost.observation, axis1=1, axis2=2)).all()
     assert (np.asarray(lost.calibration) == 0).all()
-    assert np.isinf(unc.length_uncertainty(uncertain, seen.pixels, few).observation).all()
+    assert np.isinf(prop.length_uncertainty(uncertain, seen.pixels, few).observation).all()
 
 
 def test_a_robust_loss_costs_nine_percent(tiny):

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from jax.test_util import check_grads
 
@@ -49,19 +49,24 @@ COEFFICIENT = st.floats(-1, 1)
 TANGENTIAL = st.floats(-0.01, 0.01)
 
 
+def least_slope(lens, radius):
+    square = np.linspace(0, radius, 2001) ** 2
+    return (1 + square * (3 * lens[0] + square * (5 * lens[1] + square * 7 * lens[4]))).min()
+
+
 @given(st.tuples(COEFFICIENT, COEFFICIENT, TANGENTIAL, TANGENTIAL, COEFFICIENT), st.floats(0, 1.5), st.floats(0, 6.3))
+@example((0.5, 0.5, 2**-7, 0.0, -1.0), 0.875, 1.0)  # tangential distortion carries it beyond what radial reaches
 @settings(max_examples=200, deadline=None)
 def test_range_and_round_trip_of_any_lens(lens, radius, angle):
     lens = np.array(lens)
     place = radius * np.array([np.cos(angle), np.sin(angle)])
-    square = np.linspace(0, radius, 2001) ** 2
-    slope = (1 + square * (3 * lens[0] + square * (5 * lens[1] + square * 7 * lens[4]))).min()
+    slope = least_slope(lens, radius)
     assume(abs(slope) > 1e-3)
     assert bool(MONOTONE(lens, place)) == (slope > 0)
     if slope > 0.05:
         back, valid = UNDISTORT(lens, DISTORT(lens, place))
         # Tangential distortion moves the edge of the range a little; well inside, the way back is exact.
-        if slope > 0.3:
+        if least_slope(lens, 1.1 * radius + 0.02) > 0.4:
             assert bool(valid)
         if bool(valid):
             np.testing.assert_allclose(back, place, atol=1e-12 / slope)

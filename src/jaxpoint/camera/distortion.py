@@ -17,7 +17,7 @@ from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 _MAX_R2 = 1e6
 _HALVINGS = 40
 _RADIAL_STEPS = 10
-_PLANE_STEPS = 4
+_PLANE_STEPS = 6
 # Where many places are undistorted at once
 _QUICK_RADIAL_STEPS = 3
 _QUICK_PLANE_STEPS = 2
@@ -85,13 +85,18 @@ class Brown(AbstractDistortion):
 
 
 def _distort(coefficients: Float[Array, "5"], x: Array, y: Array) -> tuple[Array, Array]:
-    k1, k2, p1, p2, k3 = coefficients
+    k1, k2, _, _, k3 = coefficients
     r2 = jnp.minimum(x * x + y * y, _MAX_R2)
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-    )
+    off_x, off_y = _tangential(coefficients, x, y)
+    return x * radial + off_x, y * radial + off_y
+
+
+def _tangential(coefficients: Float[Array, "5"], x: Array, y: Array) -> Float[Array, "2 *batch"]:
+    """What decentred lenses add to the radial part."""
+    p1, p2 = coefficients[2], coefficients[3]
+    r2 = jnp.minimum(x * x + y * y, _MAX_R2)
+    return jnp.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y])
 
 
 def _jacobian(coefficients: Float[Array, "5"], x: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -233,10 +238,17 @@ def _undistort_rows_jvp(primals: tuple, tangents: tuple) -> tuple[tuple, tuple]:
 def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
     """The ideal place: Newton on the radius within the range where it grows, then Newton on the plane."""
     aim = jnp.moveaxis(target, -1, 0)
-    distorted = jnp.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
-    radius = _undistort_radius(coefficients, distorted)
-    shrink = radius / jnp.where(distorted > 0, distorted, 1.0)
-    # The radial part is nearly right already: a step far longer than tangential distortion is a wrong one.
+
+    def radially(aim: Float[Array, "2 *batch"]) -> tuple[Array, Float[Array, "2 *batch"]]:
+        distorted = jnp.sqrt(aim[0] * aim[0] + aim[1] * aim[1])
+        radius = _undistort_radius(coefficients, distorted)
+        shrink = radius / jnp.where(distorted > 0, distorted, 1.0)
+        return radius, jnp.stack([aim[0] * shrink, aim[1] * shrink])
+
+    # Tangential distortion can carry a place beyond all that the radial part reaches: it is taken off and tried again.
+    _, start = radially(aim)
+    radius, start = radially(aim - _tangential(coefficients, *start))
+    # The start is nearly right already: a step far longer than tangential distortion is a wrong one.
     longest = 0.2 * (radius + 0.1)
 
     def step(_: Int[Array, ""], place: Float[Array, "2 *batch"]) -> Float[Array, "2 *batch"]:
@@ -245,7 +257,6 @@ def _undistort(coefficients: Float[Array, "5"], target: Float[Array, "*batch 2"]
         dx, dy = _solve(_jacobian(coefficients, x, y), aim[0] - gx, aim[1] - gy)
         return jnp.stack([x + jnp.clip(dx, -longest, longest), y + jnp.clip(dy, -longest, longest)])
 
-    start = jnp.stack([aim[0] * shrink, aim[1] * shrink])
     return jnp.moveaxis(jax.lax.fori_loop(0, _PLANE_STEPS, step, start), 0, -1)
 
 
