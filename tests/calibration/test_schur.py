@@ -18,9 +18,7 @@ from jaxpoint.calibration.schur import (
     Problem,
     SchurLevenbergMarquardt,
     Unknowns,
-    cholesky_3x3,
     solve_points,
-    solve_positive,
 )
 from jaxpoint.config import LensSettings
 
@@ -272,17 +270,6 @@ def test_points_that_nobody_sees_stay_finite():
     np.testing.assert_array_equal(end.value.points[0, :, 0], start.points[0, :, 0])
 
 
-def test_roots_of_symmetric_blocks():
-    square = np.random.default_rng(5).normal(size=(20, 3, 3))
-    matrices = square @ square.transpose(0, 2, 1)
-    lower = {(i, j): jnp.asarray(matrices[:, i, j]) for i in range(3) for j in range(i + 1)}
-    ours = np.asarray(cholesky_3x3(lower))
-    theirs = np.linalg.cholesky(matrices)
-    expected = [1 / theirs[:, 0, 0], theirs[:, 1, 0], 1 / theirs[:, 1, 1], theirs[:, 2, 0], theirs[:, 2, 1]]
-    np.testing.assert_allclose(ours, [*expected, 1 / theirs[:, 2, 2]], rtol=1e-6)
-    assert np.isfinite(cholesky_3x3({at: jnp.zeros(2) for at in lower})).all()
-
-
 @pytest.mark.parametrize("depth", [4.0, 0.2])  # the second is beyond the radius at which the polynomial is held
 def test_derivatives_written_out_are_those_of_forward_differentiation(depth):
     rng = np.random.default_rng(6)
@@ -294,15 +281,6 @@ def test_derivatives_written_out_are_those_of_forward_differentiation(depth):
     ours, expected = MODEL.columns(state, point, pixel), AbstractModel.columns(MODEL, state, point, pixel)
     for a, b in zip(ours, expected):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize("size", [7, 128, 129, 240])
-def test_positive_definite_systems_are_those_of_numpy(size):
-    square = np.random.default_rng(7).normal(size=(size, size + 3))
-    matrix, right = square @ square.T, np.arange(size, dtype=float)
-    ours = jax.jit(solve_positive)(matrix, right)
-    np.testing.assert_allclose(ours, np.linalg.solve(matrix, right), rtol=1e-8, atol=1e-10)
-    assert np.isnan(solve_positive(jnp.asarray(-matrix), jnp.asarray(right))).any()
 
 
 def test_parameters_left_out_end_as_those_held():

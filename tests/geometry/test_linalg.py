@@ -1,11 +1,20 @@
-"""Null vectors and small symmetric matrices against numpy and finite differences."""
+"""Null vectors and symmetric matrices against numpy and finite differences."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax.test_util import check_grads
 
-from jaxpoint.geometry.linalg import null_vector, symmetric_full, symmetric_inverse, symmetric_times
+from jaxpoint.geometry.linalg import (
+    null_vector,
+    root_solve,
+    solve_positive,
+    symmetric_full,
+    symmetric_inverse,
+    symmetric_root,
+    symmetric_times,
+)
 
 RNG = np.random.default_rng(0)
 ROWS, COLUMNS = np.triu_indices(3)
@@ -41,3 +50,23 @@ def test_null_vector_is_numpys_with_derivatives():
     check_grads(fixed, (matrix,), order=1, modes=["fwd", "rev"], atol=1e-6, rtol=1e-6)
     wide = jnp.asarray(RNG.normal(size=(2, 3)))
     np.testing.assert_allclose(wide @ null_vector(wide), 0, atol=1e-14)
+
+
+def test_roots_of_symmetric_matrices_are_numpys():
+    root = symmetric_root(PACKED)
+    theirs = np.linalg.cholesky(MATRICES)
+    expected = [1 / theirs[:, 0, 0], theirs[:, 1, 0], 1 / theirs[:, 1, 1], theirs[:, 2, 0], theirs[:, 2, 1]]
+    np.testing.assert_allclose(root, [*expected, 1 / theirs[:, 2, 2]], rtol=1e-6)
+    right = RNG.normal(size=(20, 3))
+    found = np.stack(root_solve(root, tuple(jnp.asarray(right.T))), axis=1)
+    np.testing.assert_allclose(found, np.linalg.solve(MATRICES, right[..., None])[..., 0], rtol=1e-7)
+    assert np.isfinite(symmetric_root((jnp.zeros(2),) * 6)).all()
+
+
+@pytest.mark.parametrize("size", [7, 128, 129, 240])
+def test_positive_definite_systems_are_those_of_numpy(size):
+    square = np.random.default_rng(7).normal(size=(size, size + 3))
+    matrix, right = square @ square.T, np.arange(size, dtype=float)
+    ours = jax.jit(solve_positive)(matrix, right)
+    np.testing.assert_allclose(ours, np.linalg.solve(matrix, right), rtol=1e-8, atol=1e-10)
+    assert np.isnan(solve_positive(jnp.asarray(-matrix), jnp.asarray(right))).any()

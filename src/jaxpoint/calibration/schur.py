@@ -23,6 +23,15 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from jaxpoint.geometry.linalg import (
+    Symmetric,
+    backward_solve,
+    forward_solve,
+    root_solve,
+    solve_positive,
+    symmetric_root,
+)
+
 
 class Unknowns(eqx.Module):
     """What is solved for: p numbers a camera and 3 a point, points in NB blocks of B."""
@@ -251,53 +260,12 @@ def _linearise(model, state, loss_scale, points, pixels, weights) -> _Linear:
 def _point_normal(linear: _Linear, damping) -> tuple[Float[Array, "6 B"], Float[Array, "3 B"]]:
     """Roots of the damped 3 x 3 blocks of a block of points, and their gradients."""
     by_axis = list(zip(*linear.for_point))
-    blocks = _point_blocks(by_axis)
-    for i in range(3):
-        blocks[i, i] = blocks[i, i] * (1.0 + damping)
+    xx, xy, xz, yy, yz, zz = _point_blocks(by_axis)
+    more = 1.0 + damping
     gradient = [
         functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(axis, linear.residual)]) for axis in by_axis
     ]
-    return cholesky_3x3(blocks), jnp.stack(gradient)
-
-
-def cholesky_3x3(matrix: dict[tuple[int, int], Float[Array, "*B"]]) -> Float[Array, "6 *B"]:
-    """Lower roots of symmetric 3 x 3 matrices, given by their lower entries: 1 / l00, l10, 1 / l11, l20, l21, 1 / l22.
-
-    The identity where a point is not seen at all; pivots that vanish, as for a point that one camera alone sees, are
-    held at 1e-15 of the trace.
-    """
-    trace = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
-    seen = trace > 0
-    least = jnp.where(seen, 1e-15 * trace, 1.0)
-
-    def pivot(square):
-        return jax.lax.rsqrt(jnp.maximum(square, least))
-
-    first = pivot(matrix[0, 0])
-    l10, l20 = matrix[1, 0] * first, matrix[2, 0] * first
-    second = pivot(matrix[1, 1] - l10 * l10)
-    l21 = (matrix[2, 1] - l20 * l10) * second
-    third = pivot(matrix[2, 2] - l20 * l20 - l21 * l21)
-    return jnp.stack([first, l10, second, l20, l21, third])
-
-
-def _forward(root, vector):
-    """L^-1 v for vectors of three arrays."""
-    first = vector[0] * root[0]
-    second = (vector[1] - root[1] * first) * root[2]
-    return first, second, (vector[2] - root[3] * first - root[4] * second) * root[5]
-
-
-def _backward(root, vector):
-    """L^-T v for vectors of three arrays."""
-    third = vector[2] * root[5]
-    second = (vector[1] - root[4] * third) * root[2]
-    return (vector[0] - root[1] * second - root[3] * third) * root[0], second, third
-
-
-def _solve(root, vector):
-    """V^-1 v for vectors of three arrays, V = L L^T."""
-    return _backward(root, _forward(root, vector))
+    return symmetric_root((xx * more, xy, xz, yy * more, yz, zz * more)), jnp.stack(gradient)
 
 
 def _cross(for_camera, for_point, root) -> Float[Array, "C p n"]:
@@ -305,7 +273,7 @@ def _cross(for_camera, for_point, root) -> Float[Array, "C p n"]:
 
     The root's inverse goes to the small factor of J_c^T (J_x L^-T), not to the large product.
     """
-    by_axis = zip(*(_forward(root[:, None], row) for row in for_point))
+    by_axis = zip(*(forward_solve(root[:, None], row) for row in for_point))
     parts = [sum(a * b[:, None] for a, b in zip(for_camera, axis)) for axis in by_axis]
     return jnp.concatenate(parts, axis=-1)
 
@@ -337,7 +305,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
         for own, residual in zip(for_camera, linear.residual):
             diagonal = diagonal + jnp.einsum("cpn,cqn->cpq", own, own)
             gradient = gradient + jnp.einsum("cpn,cn->cp", own, residual)
-        cross, pull = _cross(for_camera, linear.for_point, root), jnp.stack(_forward(root, pull))
+        cross, pull = _cross(for_camera, linear.for_point, root), jnp.stack(forward_solve(root, pull))
         left = cross.reshape(cameras * size, -1)
         gradient = gradient - (left @ pull.reshape(-1)).reshape(cameras, size)
         cross = cross.reshape(cameras, size, 3, -1)
@@ -360,57 +328,6 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
     free = free.reshape(-1)
     product = jnp.where(free[:, None] & free[None, :], product, 0.0)
     return diagonal, product, gradient.reshape(-1), kept
-
-
-PANEL = 64
-
-
-def solve_positive(matrix: Float[Array, "D D"], right: Float[Array, " D"]) -> Float[Array, " D"]:
-    """Solve with a symmetric positive definite matrix by a blocked Cholesky root; NaN where it is not positive.
-
-    LAPACK sees small matrices only: its threads fight with XLA's for the cores of a busy machine (a root of 240
-    columns took 0.6 ms alone and 250 ms beside another program).
-    """
-    size = right.shape[0]
-    if size <= 1.5 * PANEL:
-        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), right)
-    count = -(-size // PANEL)
-    total = count * PANEL
-    pad = total - size
-    matrix = jnp.pad(matrix, (0, pad)) + jnp.diag(jnp.where(jnp.arange(total) < size, 0.0, 1.0).astype(right.dtype))
-
-    def eliminate(left, panel):
-        matrix, right = left
-        at = panel * PANEL
-        column = jax.lax.dynamic_slice(matrix, (0, at), (total, PANEL))
-        inverse = _inverse_root(jax.lax.dynamic_slice(column, (at, 0), (PANEL, PANEL)))
-        below = jnp.where(jnp.arange(total)[:, None] >= at + PANEL, column, 0.0) @ inverse.T
-        solved = inverse @ jax.lax.dynamic_slice(right, (at,), (PANEL,))
-        return (matrix - below @ below.T, right - below @ solved), (below, inverse, solved)
-
-    def substitute(found, panel):
-        at, (below, inverse, solved) = panel[0] * PANEL, panel[1]
-        part = inverse.T @ (solved - below.T @ found)
-        return jax.lax.dynamic_update_slice(found, part, (at,)), None
-
-    panels = jnp.arange(count)
-    start = (matrix, jnp.pad(right, (0, pad)))
-    _, kept = jax.lax.scan(eliminate, start, panels)
-    found, _ = jax.lax.scan(substitute, jnp.zeros_like(start[1]), (panels, kept), reverse=True)
-    return found[:size]
-
-
-def _inverse_root(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """L^-1 of M = L L^T by elimination beside the unit matrix."""
-    size = matrix.shape[0]
-    rows = jnp.arange(size)
-
-    def eliminate(k, both):
-        factor = jnp.where(rows > k, both[:, k] / both[k, k], 0.0)
-        return both - factor[:, None] * both[k][None]
-
-    both = jax.lax.fori_loop(0, size, eliminate, jnp.concatenate([matrix, jnp.eye(size, dtype=matrix.dtype)], axis=1))
-    return both[:, size:] * jax.lax.rsqrt(jnp.diagonal(both))[:, None]
 
 
 def _camera_step(
@@ -452,7 +369,7 @@ def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool, 
             more = [points + _point_step(model, state, problem.loss_scale, points, pixels, weights, point_damping)]
         else:
             pull = eliminated.gradient + (eliminated.cross * step[:, :, None, None]).sum(axis=(0, 1))
-            trial = points - jnp.stack(_backward(eliminated.root, pull))
+            trial = points - jnp.stack(backward_solve(eliminated.root, pull))
             more = [trial, *_polished(model, state, problem.loss_scale, trial, pixels, weights)]
         trials = jnp.stack([*more, points])
         costs = jax.vmap(lambda trial: _point_costs(model, state, problem.loss_scale, trial, pixels, weights))(trials)
@@ -486,25 +403,26 @@ def _polished(model, state, loss_scale, points, pixels, weights) -> list[Float[A
     gradient = [part.sum(axis=0) for part in slope]
     bend = 2.0 / (loss_scale**2 * jnp.where(weights > 0, weights, 1.0))
     plain = _point_blocks(by_axis)
-    bent = {(i, j): block - (bend * slope[i] * slope[j]).sum(axis=0) for (i, j), block in plain.items()}
-    leap, newton = (-jnp.stack(_solve(cholesky_3x3(blocks), gradient)) for blocks in (plain, bent))
+    bent = tuple(block - (bend * slope[i] * slope[j]).sum(axis=0) for (i, j), block in zip(UPPER, plain))
+    leap, newton = (-jnp.stack(root_solve(symmetric_root(blocks), gradient)) for blocks in (plain, bent))
     return [points + newton, points + LEAP * leap]
 
 
-def _point_blocks(by_axis) -> dict[tuple[int, int], Float[Array, " B"]]:
-    """The lower entries of J^T J of the points, from their derivatives axis by axis."""
-    pairs = [(i, j) for i in range(3) for j in range(i + 1)]
-    return {
-        (i, j): functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(by_axis[i], by_axis[j])])
-        for i, j in pairs
-    }
+UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def _point_blocks(by_axis) -> Symmetric:
+    """J^T J of the points, from their derivatives axis by axis."""
+    return tuple(
+        functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(by_axis[i], by_axis[j])]) for i, j in UPPER
+    )
 
 
 def _point_step(model, state, loss_scale, points, pixels, weights, damping) -> Float[Array, "3 B"]:
     """One damped Gauss-Newton step of the points alone."""
     linear = _linearise(model, state, loss_scale, points, pixels, weights)
     root, gradient = _point_normal(linear, damping)
-    return -jnp.stack(_solve(root, gradient))
+    return -jnp.stack(root_solve(root, gradient))
 
 
 def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Float[Array, "NB 3 B"]:

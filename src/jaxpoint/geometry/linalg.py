@@ -1,7 +1,8 @@
-"""Null vectors with safe derivatives, and many small symmetric matrices at once."""
+"""Null vectors with safe derivatives, many small symmetric matrices at once, and one large one."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import jax
@@ -67,3 +68,93 @@ def symmetric_full(matrix: Symmetric) -> Float[Array, "B 3 3"]:
     """The matrices in the usual layout."""
     xx, xy, xz, yy, yz, zz = matrix
     return jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
+
+
+def symmetric_root(matrix: Symmetric) -> Float[Array, "6 *B"]:
+    """Lower roots L of symmetric positive matrices: 1 / l00, l10, 1 / l11, l20, l21, 1 / l22.
+
+    The identity where a matrix is zero; pivots that vanish are held at 1e-15 of the trace.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    trace = xx + yy + zz
+    least = jnp.where(trace > 0, 1e-15 * trace, 1.0)
+
+    def pivot(square: Array) -> Array:
+        return jax.lax.rsqrt(jnp.maximum(square, least))
+
+    first = pivot(xx)
+    l10, l20 = xy * first, xz * first
+    second = pivot(yy - l10 * l10)
+    l21 = (yz - l20 * l10) * second
+    third = pivot(zz - l20 * l20 - l21 * l21)
+    return jnp.stack([first, l10, second, l20, l21, third])
+
+
+def forward_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
+    """L^-1 v for vectors of three components, each an array."""
+    first = vector[0] * root[0]
+    second = (vector[1] - root[1] * first) * root[2]
+    return first, second, (vector[2] - root[3] * first - root[4] * second) * root[5]
+
+
+def backward_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
+    """L^-T v for vectors of three components, each an array."""
+    third = vector[2] * root[5]
+    second = (vector[1] - root[4] * third) * root[2]
+    return (vector[0] - root[1] * second - root[3] * third) * root[0], second, third
+
+
+def root_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
+    """(L L^T)^-1 v for vectors of three components, each an array."""
+    return backward_solve(root, forward_solve(root, vector))
+
+
+PANEL = 64
+
+
+def solve_positive(matrix: Float[Array, "D D"], right: Float[Array, " D"]) -> Float[Array, " D"]:
+    """Solve with a symmetric positive definite matrix by a blocked Cholesky root; NaN where it is not positive.
+
+    LAPACK sees small matrices only: its threads fight with XLA's for the cores of a busy machine (a root of 240
+    columns took 0.6 ms alone and 250 ms beside another program).
+    """
+    size = right.shape[0]
+    if size <= 1.5 * PANEL:
+        return jax.scipy.linalg.cho_solve(jax.scipy.linalg.cho_factor(matrix), right)
+    count = -(-size // PANEL)
+    total = count * PANEL
+    pad = total - size
+    matrix = jnp.pad(matrix, (0, pad)) + jnp.diag(jnp.where(jnp.arange(total) < size, 0.0, 1.0).astype(right.dtype))
+
+    def eliminate(left, panel):
+        matrix, right = left
+        at = panel * PANEL
+        column = jax.lax.dynamic_slice(matrix, (0, at), (total, PANEL))
+        inverse = _inverse_root(jax.lax.dynamic_slice(column, (at, 0), (PANEL, PANEL)))
+        below = jnp.where(jnp.arange(total)[:, None] >= at + PANEL, column, 0.0) @ inverse.T
+        solved = inverse @ jax.lax.dynamic_slice(right, (at,), (PANEL,))
+        return (matrix - below @ below.T, right - below @ solved), (below, inverse, solved)
+
+    def substitute(found, panel):
+        at, (below, inverse, solved) = panel[0] * PANEL, panel[1]
+        part = inverse.T @ (solved - below.T @ found)
+        return jax.lax.dynamic_update_slice(found, part, (at,)), None
+
+    panels = jnp.arange(count)
+    start = (matrix, jnp.pad(right, (0, pad)))
+    _, kept = jax.lax.scan(eliminate, start, panels)
+    found, _ = jax.lax.scan(substitute, jnp.zeros_like(start[1]), (panels, kept), reverse=True)
+    return found[:size]
+
+
+def _inverse_root(matrix: Float[Array, "n n"]) -> Float[Array, "n n"]:
+    """L^-1 of M = L L^T by elimination beside the unit matrix."""
+    size = matrix.shape[0]
+    rows = jnp.arange(size)
+
+    def eliminate(k, both):
+        factor = jnp.where(rows > k, both[:, k] / both[k, k], 0.0)
+        return both - factor[:, None] * both[k][None]
+
+    both = jax.lax.fori_loop(0, size, eliminate, jnp.concatenate([matrix, jnp.eye(size, dtype=matrix.dtype)], axis=1))
+    return both[:, size:] * jax.lax.rsqrt(jnp.diagonal(both))[:, None]
