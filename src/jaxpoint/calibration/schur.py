@@ -33,6 +33,9 @@ from jaxpoint.geometry.linalg import (
 )
 
 
+PANELS, LEAST_PANEL = 4, 128
+
+
 class Unknowns(eqx.Module):
     """What is solved for: p numbers a camera and 3 a point, points in NB blocks of B."""
 
@@ -296,6 +299,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
     state = model.state(y.cameras, problem.constants)
     moving = np.array(model.moving)
     cameras, size = len(y.cameras), len(moving)
+    panels = _panels(cameras * size)
 
     def add(carry, block):
         diagonal, gradient, product = carry
@@ -309,17 +313,19 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
         left = cross.reshape(cameras * size, -1)
         gradient = gradient - (left @ pull.reshape(-1)).reshape(cameras, size)
         cross = cross.reshape(cameras, size, 3, -1)
-        return (diagonal, gradient, product + left @ left.T), _Eliminated(cross, root, pull, linear.costs)
+        product = [part + left[rows] @ left[: rows.stop].T for part, rows in zip(product, panels)]
+        return (diagonal, gradient, product), _Eliminated(cross, root, pull, linear.costs)
 
     dtype, total = y.cameras.dtype, cameras * size
     start = (
         jnp.zeros((cameras, size, size), dtype),
         jnp.zeros((cameras, size), dtype),
-        jnp.zeros((total, total), dtype),
+        [jnp.zeros((rows.stop - rows.start, rows.stop), dtype) for rows in panels],
     )
     blocks = (y.points, *_observations(problem))
     sums, kept = jax.lax.scan(add, start, blocks)
     diagonal, gradient, product = _total(sums, axis)
+    product = _mirrored(product)
     free = problem.free[:, moving]
     prior = jnp.where(free, problem.prior_weight[:, moving], 0.0)
     diagonal = jnp.where(free[:, :, None] & free[:, None, :], diagonal, 0.0)
@@ -328,6 +334,22 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
     free = free.reshape(-1)
     product = jnp.where(free[:, None] & free[None, :], product, 0.0)
     return diagonal, product, gradient.reshape(-1), kept
+
+
+def _panels(size: int) -> list[slice]:
+    """Rows of a symmetric matrix that are computed together, up to the diagonal; a small one's all at once."""
+    count = min(max(size // LEAST_PANEL, 1), PANELS)
+    edges = [size * i // count for i in range(count + 1)]
+    return [slice(*ends) for ends in zip(edges, edges[1:])]
+
+
+def _mirrored(panels: list[Float[Array, "n k"]]) -> Float[Array, "D D"]:
+    """The whole matrix of which `_panels` were computed."""
+    if len(panels) == 1:
+        return panels[0]
+    size = panels[-1].shape[1]
+    lower = jnp.tril(jnp.concatenate([jnp.pad(part, ((0, 0), (0, size - part.shape[1]))) for part in panels]))
+    return lower + jnp.tril(lower, -1).T
 
 
 def _camera_step(
