@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxpoint.calibration.twoview import TwoViewGeometry, fundamental, undistorted
+from jaxpoint.calibration.twoview import TwoViewGeometry, fundamental, joint_choice, undistorted
 
 FOCAL_GRID = np.geomspace(0.4, 3.5, 24)  # half diagonals
 MEAN_LOG_FOCAL, SIGMA_LOG_FOCAL = np.log(1.2), 0.6
@@ -17,27 +17,15 @@ PRIOR_WEIGHT = 0.02  # against a cost that is a mean over pairs
 def voted_focals(geometry: TwoViewGeometry) -> np.ndarray:
     """Focal lengths (C,) in half diagonals under which all F together are most nearly essential matrices.
 
-    An essential matrix has two equal singular values (Mendonca & Cipolla 1999); coordinate descent over the pairs'
-    tables, as for the lenses.
+    An essential matrix has two equal singular values (Mendonca & Cipolla 1999).
     """
     cameras = len(geometry.lenses)
-    tables = {pair: _essential_table(matrix) for pair, matrix in geometry.fundamentals.items()}
-    weights = {pair: geometry.inliers[pair] for pair in tables}
+    weights = {pair: geometry.inliers[pair] for pair in geometry.fundamentals}
     total = max(sum(weights.values()) / max(cameras, 1), 1)
+    tables = {pair: weights[pair] / total * _essential_table(f) for pair, f in geometry.fundamentals.items()}
     prior = PRIOR_WEIGHT * ((np.log(FOCAL_GRID) - MEAN_LOG_FOCAL) / SIGMA_LOG_FOCAL) ** 2
-    chosen = np.full(cameras, int(np.abs(np.log(FOCAL_GRID) - MEAN_LOG_FOCAL).argmin()))
-    for _ in range(50):
-        before = chosen.copy()
-        for camera in range(cameras):
-            cost = prior.copy()
-            for (i, j), table in tables.items():
-                if i == camera:
-                    cost = cost + weights[i, j] / total * table[:, chosen[j]]
-                elif j == camera:
-                    cost = cost + weights[i, j] / total * table[chosen[i]]
-            chosen[camera] = int(cost.argmin())
-        if (before == chosen).all():
-            break
+    start = np.abs(np.log(FOCAL_GRID) - MEAN_LOG_FOCAL).argmin()
+    chosen, _ = joint_choice(tables, prior, np.full(cameras, start))
     return FOCAL_GRID[chosen]
 
 

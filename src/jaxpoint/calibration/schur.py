@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import abc
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any, ClassVar
 
@@ -31,9 +32,6 @@ from jaxpoint.geometry.linalg import (
     solve_positive,
     symmetric_root,
 )
-
-
-PANELS, LEAST_PANEL = 4, 128
 
 
 class Unknowns(eqx.Module):
@@ -316,7 +314,7 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
         product = [part + left[rows] @ left[: rows.stop].T for part, rows in zip(product, panels)]
         return (diagonal, gradient, product), _Eliminated(cross, root, pull, linear.costs)
 
-    dtype, total = y.cameras.dtype, cameras * size
+    dtype = y.cameras.dtype
     start = (
         jnp.zeros((cameras, size, size), dtype),
         jnp.zeros((cameras, size), dtype),
@@ -336,11 +334,14 @@ def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | No
     return diagonal, product, gradient.reshape(-1), kept
 
 
+PANELS, LEAST_PANEL = 4, 128  # at most so many, of so many rows at least
+
+
 def _panels(size: int) -> list[slice]:
     """Rows of a symmetric matrix that are computed together, up to the diagonal; a small one's all at once."""
     count = min(max(size // LEAST_PANEL, 1), PANELS)
     edges = [size * i // count for i in range(count + 1)]
-    return [slice(*ends) for ends in zip(edges, edges[1:])]
+    return [slice(*ends) for ends in itertools.pairwise(edges)]
 
 
 def _mirrored(panels: list[Float[Array, "n k"]]) -> Float[Array, "D D"]:

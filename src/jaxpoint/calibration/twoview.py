@@ -123,23 +123,39 @@ def _pair_lens_table(data, pair, settings, rng) -> np.ndarray:
 
 
 def joint_lenses(tables: dict[tuple[int, int], np.ndarray], cameras: int) -> np.ndarray:
-    """The lens of every camera that all pairs together like best: coordinate descent over their tables."""
+    """The lens of every camera that all pairs together like best."""
     prior = 0.5 * ((LENS_GRID - PRIOR_MEAN) / PRIOR_SIGMA) ** 2
-    chosen = np.full(cameras, int(np.argmin(np.abs(LENS_GRID))))
-    costs = np.tile(prior, (cameras, 1))
+    _, costs = joint_choice(tables, prior, np.full(cameras, np.abs(LENS_GRID).argmin()))
+    return np.array([_parabola_minimum(cost) for cost in costs])
+
+
+def joint_choice(
+    tables: dict[tuple[int, int], np.ndarray], prior: np.ndarray, start: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """One of G values for each of C cameras, all pairs agreeing as well as they can: coordinate descent.
+
+    Args:
+        tables: cost (G, G) of every two values of a pair of cameras.
+        prior: (G,) cost of every value by itself.
+        start: (C,) the values to begin with.
+
+    Returns:
+        What is chosen (C,), and the cost (C, G) of every value while the other cameras keep theirs.
+    """
+    chosen, costs = np.array(start), np.tile(prior, (len(start), 1))
     for _ in range(50):
         before = chosen.copy()
-        for camera in range(cameras):
-            cost = prior.copy()
+        for camera in range(len(chosen)):
+            costs[camera] = prior
             for (i, j), table in tables.items():
                 if i == camera:
-                    cost = cost + table[:, chosen[j]]
+                    costs[camera] += table[:, chosen[j]]
                 elif j == camera:
-                    cost = cost + table[chosen[i]]
-            costs[camera], chosen[camera] = cost, int(cost.argmin())
+                    costs[camera] += table[chosen[i]]
+            chosen[camera] = costs[camera].argmin()
         if (before == chosen).all():
             break
-    return np.array([_parabola_minimum(cost) for cost in costs])
+    return chosen, costs
 
 
 def _parabola_minimum(cost: np.ndarray) -> float:
