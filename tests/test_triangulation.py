@@ -17,7 +17,6 @@ from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import Flag, Triangulation, triangulate
 
 CAMERAS, FRAMES = 5, 64
-RNG = np.random.default_rng(0)
 
 
 def ring_of_cameras(distorted=True):
@@ -41,12 +40,18 @@ def ring_of_cameras(distorted=True):
     )
 
 
+def seen_points():
+    """Points of the room, where they are seen, by whom, and with 1 px of noise."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 1.8], (FRAMES, 3))
+    pixels = np.asarray(RIG.project(points))
+    visible = rng.random((FRAMES, CAMERAS)) < 0.7
+    visible[:, :2] |= visible.sum(axis=1, keepdims=True) < 2
+    return points, pixels, visible, pixels + rng.normal(size=pixels.shape)
+
+
 RIG = ring_of_cameras()
-POINTS = RNG.uniform([-1.2, -1.2, 0.2], [1.2, 1.2, 1.8], (FRAMES, 3))
-PIXELS = np.asarray(RIG.project(POINTS))
-VISIBLE = RNG.random((FRAMES, CAMERAS)) < 0.7
-VISIBLE[:, :2] |= VISIBLE.sum(axis=1, keepdims=True) < 2
-NOISY = PIXELS + RNG.normal(size=PIXELS.shape)
+POINTS, PIXELS, VISIBLE, NOISY = seen_points()
 
 
 def assert_same(one: Triangulation, other: Triangulation, atol=1e-6):
@@ -98,9 +103,9 @@ def empirical_over_predicted(samples, predicted):
 
 
 def test_covariance_is_that_of_many_noisy_recordings():
-    draws, sigma = 4096, 0.8
+    draws, sigma, rng = 4096, 0.8, np.random.default_rng(2)
     for frame in range(3):
-        noisy = PIXELS[frame] + RNG.normal(size=(draws, CAMERAS, 2)) * sigma
+        noisy = PIXELS[frame] + rng.normal(size=(draws, CAMERAS, 2)) * sigma
         visible = np.tile(VISIBLE[frame], (draws, 1))
         samples = triangulate(RIG, noisy, visible, sigma_px=sigma)
         ratios = empirical_over_predicted(samples.points, samples.covariance[0])
@@ -112,10 +117,11 @@ def test_covariance_is_that_of_many_noisy_recordings():
 
 def test_covariance_of_the_cameras_is_added():
     sigma = np.tile([1e-3] * 3 + [3e-3] * 3 + [2.0] * 4 + [2e-3, 1e-3, 2e-4, 2e-4, 1e-4], CAMERAS)
-    mixing = np.eye(len(sigma)) + 0.3 * np.random.default_rng(3).normal(size=(len(sigma),) * 2) / 3
+    rng = np.random.default_rng(3)
+    mixing = np.eye(len(sigma)) + 0.3 * rng.normal(size=(len(sigma),) * 2) / 3
     factor = sigma[:, None] * mixing
     covariance = factor @ factor.T
-    changes = RNG.normal(size=(2048, len(sigma))) @ factor.T
+    changes = rng.normal(size=(2048, len(sigma))) @ factor.T
     frame = 2
 
     @jax.jit
@@ -339,10 +345,11 @@ def test_gradients_are_finite_where_nothing_is_known():
 
 @pytest.mark.parametrize("everything", [0.0, 1.0])
 def test_derivatives_by_pixels_and_cameras(everything):
-    pixels = NOISY[:5] + 3 * RNG.normal(size=(5, CAMERAS, 2))  # large residuals: the full Hessian matters
-    visible, weight = VISIBLE[:5], (RNG.normal(size=(5, 3)), everything)
+    rng = np.random.default_rng(4)
+    pixels = NOISY[:5] + 3 * rng.normal(size=(5, CAMERAS, 2))  # large residuals: the full Hessian matters
+    visible, weight = VISIBLE[:5], (rng.normal(size=(5, 3)), everything)
     scale = np.array([1e-3] * 6 + [1.0] * 4 + [1e-3] * 5)
-    direction = RNG.normal(size=(5, CAMERAS, 2)), RNG.normal(size=(CAMERAS, 15)) * scale
+    direction = rng.normal(size=(5, CAMERAS, 2)), rng.normal(size=(CAMERAS, 15)) * scale
     step = 1e-2
 
     def at(distance):

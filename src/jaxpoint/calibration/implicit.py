@@ -8,8 +8,6 @@ residual depends on one camera and one point, so the point blocks stay 3 x 3 and
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -30,11 +28,30 @@ def optimum(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) 
     and right for whatever does not depend on the gauge. Meaningful only where the solve has settled: give it a small
     `rtol`.
     """
-    return _optimum(problem, solver, jax.lax.stop_gradient(start))
+    return _optimum(problem, solver, jax.lax.stop_gradient(start))[0]
+
+
+class _Factors(eqx.Module):
+    """The exact Hessian taken apart: what the points' elimination leaves, and the reduced system's eigenvectors."""
+
+    cross: Float[Array, "NB B C p 3"]
+    points: Float[Array, "NB B 3 3"]  # inverses of the points' own blocks
+    vectors: Float[Array, "D D"]  # of the reduced system, scaled; D = C p
+    inverse: Float[Array, " D"]  # of its eigenvalues; 0 where a gauge is free
+    scale: Float[Array, " D"]
+
+    def solve(self, right: Unknowns) -> Unknowns:
+        """H^-1 right; of the reduced system the pseudo-inverse."""
+        pull = jnp.einsum("nbij,njb->nbi", self.points, right.points)
+        left = right.cameras - jnp.einsum("nbcpj,nbj->cp", self.cross, pull)
+        step = self.vectors @ (self.inverse * (self.vectors.T @ (left.reshape(-1) / self.scale))) / self.scale
+        step = step.reshape(right.cameras.shape)
+        moved = jnp.einsum("nbcpj,cp->nbj", self.cross, step)
+        return Unknowns(step, jnp.moveaxis(pull - jnp.einsum("nbij,nbj->nbi", self.points, moved), 2, 1))
 
 
 @eqx.filter_custom_jvp
-def _optimum(problem: Problem, solver: SchurLevenbergMarquardt, start: Unknowns) -> Unknowns:
+def _optimum(problem: Problem, solver: SchurLevenbergMarquardt, start: Unknowns) -> tuple[Unknowns, _Factors]:
     end = solved(solver, start, problem)
     return _exact(solver.model, Unknowns(end.cameras, end.points), problem)
 
@@ -42,7 +59,7 @@ def _optimum(problem: Problem, solver: SchurLevenbergMarquardt, start: Unknowns)
 @_optimum.def_jvp
 def _optimum_jvp(primals, tangents):
     problem, solver, start = primals
-    end = _optimum(problem, solver, start)
+    end, factors = _optimum(problem, solver, start)
     model = solver.model
     moving, still = eqx.partition(problem, eqx.is_inexact_array)
     along = jax.tree.map(_tangent, tangents[0], moving, is_leaf=lambda leaf: leaf is None)
@@ -51,27 +68,38 @@ def _optimum_jvp(primals, tangents):
         return _gradient(model, y, eqx.combine(moving, still))
 
     _, slope = jax.jvp(lambda moving: gradient(end, moving), (moving,), (along,))
-    inverse = _inverse(model, end, problem)
     step = jax.lax.custom_linear_solve(
         lambda v: jax.tree.map(jnp.add, jax.jvp(lambda y: gradient(y, moving), (end,), (v,))[1], _rest(v, problem)),
         jax.tree.map(jnp.negative, slope),
-        solve=lambda _, right: inverse(right),
+        solve=lambda _, right: factors.solve(right),
         symmetric=True,
     )
-    return end, step
+    # The factors only serve `solve`, of which the derivative is never asked.
+    return (end, factors), (step, jax.tree.map(jnp.zeros_like, factors))
 
 
-def _exact(model: AbstractModel, y: Unknowns, problem: Problem) -> Unknowns:
-    """Newton's steps to where the gradient vanishes to rounding: a solve that looks at its cost stops well before."""
+def _exact(model: AbstractModel, y: Unknowns, problem: Problem) -> tuple[Unknowns, _Factors]:
+    """Newton's steps to where the gradient vanishes to rounding: a solve that looks at its cost stops well before.
 
-    def step(_, y):
-        slope = _gradient(model, y, problem)
-        move = _inverse(model, y, problem)(slope)
-        trial = jax.tree.map(jnp.subtract, y, move)
-        flatter = _square(_gradient(model, trial, problem)) < _square(slope)
-        return jax.tree.map(lambda new, old: jnp.where(flatter, new, old), trial, y)
+    Of all places that it tries, the flattest. The loop holds the Hessian once, and that is most of what is compiled.
+    """
 
-    return jax.lax.fori_loop(0, NEWTON_STEPS, step, y)
+    def flattening(carry):
+        steps, flatter, *_ = carry
+        return flatter & (steps <= NEWTON_STEPS)
+
+    def step(carry):
+        steps, _, trial, best, least, kept = carry
+        slope, factors = _derivatives(model, trial, problem)
+        flatter = _square(slope) < least
+        best, least, kept = jax.tree.map(
+            lambda new, old: jnp.where(flatter, new, old), (trial, _square(slope), factors), (best, least, kept)
+        )
+        return steps + 1, flatter, jax.tree.map(jnp.subtract, trial, factors.solve(slope)), best, least, kept
+
+    start = (jnp.asarray(0), jnp.asarray(True), y, y, jnp.asarray(jnp.inf, y.cameras.dtype), _no_factors(y))
+    *_, end, _, factors = jax.lax.while_loop(flattening, step, start)
+    return end, factors
 
 
 def _gradient(model: AbstractModel, y: Unknowns, problem: Problem) -> Unknowns:
@@ -123,64 +151,65 @@ def _seen(problem: Problem):
     return (problem.weights > 0).any(axis=1)
 
 
-class _Blocks(NamedTuple):
-    """The exact Hessian: of the cameras (C, p, p), across (NB, B, C, p, 3), inverses of the points' (NB, B, 3, 3)."""
-
-    cameras: Array
-    cross: Array
-    points: Array
-
-
-def _inverse(model: AbstractModel, y: Unknowns, problem: Problem):
-    """The function H^-1 v, the points eliminated; the pseudo-inverse of the reduced system where a gauge is free."""
-    blocks = _hessian(model, y, problem)
-    count, size = y.cameras.shape
-    carried = jnp.einsum("nbcpi,nbij->nbcpj", blocks.cross, blocks.points)
-    reduced = -jnp.einsum("nbcpj,nbdqj->cpdq", carried, blocks.cross)
-    each = jnp.arange(count)
-    reduced = reduced.at[each, :, each, :].add(blocks.cameras).reshape(count * size, count * size)
-    scale = jnp.sqrt(jnp.abs(jnp.diagonal(blocks.cameras, axis1=1, axis2=2)).reshape(-1))
-    scale = jnp.where(scale > 0, scale, 1.0)
-    values, vectors = jnp.linalg.eigh(reduced / (scale[:, None] * scale[None, :]))
-    firm = values > GAUGE * values[-1]
-    divided = jnp.where(firm, 1.0 / jnp.where(firm, values, 1.0), 0.0)
-
-    def solve(right: Unknowns) -> Unknowns:
-        points = jnp.moveaxis(right.points, 1, 2)  # (NB, B, 3)
-        left = right.cameras - jnp.einsum("nbcpj,nbj->cp", carried, points)
-        step = vectors @ (divided * (vectors.T @ (left.reshape(-1) / scale))) / scale
-        step = step.reshape(count, size)
-        points = points - jnp.einsum("nbcpj,cp->nbj", blocks.cross, step)
-        return Unknowns(step, jnp.moveaxis(jnp.einsum("nbij,nbj->nbi", blocks.points, points), 2, 1))
-
-    return solve
+def _no_factors(y: Unknowns) -> _Factors:
+    (count, size), (blocks, _, block) = y.cameras.shape, y.points.shape
+    shapes = (blocks, block, count, size, 3), (blocks, block, 3, 3), 2 * (count * size,), (count * size,)
+    cross, points, vectors, numbers = (jnp.zeros(shape, y.cameras.dtype) for shape in shapes)
+    return _Factors(cross, points, vectors, numbers, numbers)
 
 
-def _hessian(model: AbstractModel, y: Unknowns, problem: Problem) -> _Blocks:
-    size = y.cameras.shape[1]
+def _derivatives(model: AbstractModel, y: Unknowns, problem: Problem) -> tuple[Unknowns, _Factors]:
+    """The gradient, and the Hessian with its points eliminated, the reduced system by its eigenvalues."""
+    size, dtype = y.cameras.shape[1], y.cameras.dtype
 
     def one(camera, constants, point, pixel, weight):
-        def value(both):
-            return _loss(model, both[:size], constants, problem.loss_scale, both[size:], pixel, weight)
+        def slope(both):
+            def loss(x):
+                return _loss(model, x[:size], constants, problem.loss_scale, x[size:], pixel, weight)
 
-        return jax.hessian(value)(jnp.concatenate([camera, point]))
+            found = jax.grad(loss)(both)
+            return found, found
+
+        return jax.jacfwd(slope, has_aux=True)(jnp.concatenate([camera, point]))
 
     over_cameras = jax.vmap(one, in_axes=(0, 0, None, 0, 0))
     over_points = jax.vmap(over_cameras, in_axes=(None, None, -1, -1, -1))
 
     def add(total, block):
-        hessian = over_points(y.cameras, problem.constants, *block)  # (B, C, p + 3, p + 3)
-        points = hessian[:, :, size:, size:].sum(axis=1)
+        hessian, slope = over_points(y.cameras, problem.constants, *block)  # (B, C, p + 3, p + 3), (B, C, p + 3)
         seen = (block[2] > 0).any(axis=0)
-        points = jnp.where(seen[:, None, None], points, jnp.eye(3, dtype=points.dtype)[None])
-        return total + hessian[:, :, :size, :size].sum(axis=0), (hessian[:, :, :size, size:], jnp.linalg.inv(points))
+        points = jnp.where(seen[:, None, None], hessian[:, :, size:, size:].sum(axis=1), jnp.eye(3, dtype=dtype)[None])
+        cross, inverse = hessian[:, :, :size, size:], jnp.linalg.inv(points)
+        cross = jnp.where(problem.free[None, :, :, None], cross, 0.0)
+        taken = jnp.einsum("bcpi,bij,bdqj->cpdq", cross, inverse, cross)
+        new = hessian[:, :, :size, :size].sum(axis=0), taken, slope[:, :, :size].sum(axis=0)
+        return jax.tree.map(jnp.add, total, new), (slope[:, :, size:].sum(axis=1).T, cross, inverse)
 
-    start = jnp.zeros((len(y.cameras), size, size), y.cameras.dtype)
-    cameras, (cross, points) = jax.lax.scan(add, start, (y.points, problem.pixels, problem.weights))
-    unit = jnp.eye(size, dtype=y.cameras.dtype)[None]
-    cameras = cameras + problem.prior_weight[:, :, None] * unit
-    free = problem.free
-    cameras = jnp.where(free[:, :, None] & free[:, None, :], cameras, unit)
-    cameras = jnp.where(free[:, :, None] | free[:, None, :] | (unit > 0), cameras, 0.0)
-    cameras = jnp.where(free[:, :, None] == free[:, None, :], cameras, 0.0)
-    return _Blocks(cameras, jnp.where(free[None, None, :, :, None], cross, 0.0), points)
+    count = len(y.cameras)
+    start = tuple(jnp.zeros(shape, dtype) for shape in ((count, size, size), 2 * (count, size), (count, size)))
+    sums, (by_points, cross, points) = jax.lax.scan(add, start, (y.points, problem.pixels, problem.weights))
+    own, taken, by_cameras = sums
+    by_cameras = by_cameras + problem.prior_weight * (y.cameras - problem.prior_mean)
+    slope = _held(Unknowns(by_cameras, by_points), problem)
+    return slope, _Factors(cross, points, *_eigenvalues(_own_blocks(own, problem), taken))
+
+
+def _own_blocks(own: Float[Array, "C p p"], problem: Problem) -> Float[Array, "C p p"]:
+    """The cameras' blocks with their priors; a held parameter has a lone 1."""
+    unit = jnp.eye(own.shape[1], dtype=own.dtype)[None]
+    both = problem.free[:, :, None] & problem.free[:, None, :]
+    return jnp.where(both, own + problem.prior_weight[:, :, None] * unit, jnp.where(problem.free[:, :, None], 0.0, unit))
+
+
+def _eigenvalues(
+    own: Float[Array, "C p p"], taken: Float[Array, "C p C p"]
+) -> tuple[Float[Array, "D D"], Float[Array, " D"], Float[Array, " D"]]:
+    """Eigenvectors of the reduced system in units in which the own blocks' diagonals are 1, inverses, and the units."""
+    count, size, _ = own.shape
+    each = jnp.arange(count)
+    reduced = (-taken).at[each, :, each, :].add(own).reshape(count * size, count * size)
+    scale = jnp.sqrt(jnp.abs(jnp.diagonal(own, axis1=1, axis2=2)).reshape(-1))
+    scale = jnp.where(scale > 0, scale, 1.0)
+    values, vectors = jnp.linalg.eigh(reduced / (scale[:, None] * scale[None, :]))
+    firm = values > GAUGE * values[-1]
+    return vectors, jnp.where(firm, 1.0 / jnp.where(firm, values, 1.0), 0.0), scale
