@@ -1,0 +1,190 @@
+"""From pixels to points of the room as one function, with derivatives by every number that goes in.
+
+The light's pixels give the cameras (`implicit.optimum`), clicks on landmarks bring them into the room (the similarity
+of `umeyama`), and other pixels become points (`triangulate`). Lines, angles and distances follow by `geometry.line`.
+Every step is differentiated at its own optimum, by the implicit function theorem, so that the derivative of the whole
+is what solving everything again would show. What the solves decided is frozen: which pixels are believed, and the loss.
+"""
+
+from __future__ import annotations
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Shaped
+
+from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.bundle import BLOCK, CENTER, FOCAL, LEAST_SQUARES, RADIAL, SIZE, BrownModel
+from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.implicit import optimum
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.geometry import rotation
+from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.triangulation import triangulate
+
+SOLVER = SchurLevenbergMarquardt(BrownModel(), rtol=1e-12, xtol=1e-8)
+STEPS = 200
+POINT_STEPS = 20  # of a triangulated point, at most
+LANDMARKS = 3  # hold a frame
+
+
+class Measured(eqx.Module):
+    """The numbers that the points depend on. F frames, C cameras, L landmarks, N points; hidden pixels never matter."""
+
+    light: Float[Array, "F C 2"]  # px
+    weights: Float[Array, "F C"]  # of the light's pixels: 1 where believed, 0 where not
+    prior_mean: Float[Array, "C 15"]  # of the cameras' numbers, in the order of `bundle`
+    prior_weight: Float[Array, "C 15"]  # px^2 per unit^2
+    landmarks: Float[Array, "L 3"]  # m, in the room
+    clicks: Float[Array, "L C 2"]  # px, on the landmarks
+    pixels: Float[Array, "N C 2"]  # px, of the points that are asked for
+
+
+class Chain(eqx.Module):
+    """The function from `Measured` to points. Pure, for `jit`, `grad`, `jvp` and, over recordings, `vmap`."""
+
+    start: Unknowns  # rotation vectors about `base`; where the solve begins does not matter
+    base: Float[Array, "C 3 3"]
+    free: Bool[Array, "C 15"]
+    loss_scale: Float[Array, ""]  # px
+    landmark_weights: Float[Array, " L"]
+    clicked: Bool[Array, "L C"]
+    visible: Bool[Array, "N C"]
+    image_sizes: tuple[tuple[int, int], ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def rig(self, measured: Measured) -> CameraRig:
+        """The cameras in the room; without landmarks in the solver's own frame, whose derivatives mean nothing.
+
+        Raises:
+            ValueError: the numbers are float64 and JAX would cut them to float32.
+        """
+        as_float(measured.light)
+        block = self.start.points.shape[2]
+        problem = Problem(
+            _in_blocks(measured.light, block),
+            _in_blocks(measured.weights, block),
+            self.base,
+            self.free,
+            measured.prior_mean,
+            measured.prior_weight,
+            self.loss_scale,
+            jnp.asarray(STEPS),
+        )
+        rig = self._rig_of(optimum(SOLVER, self.start, problem).cameras)
+        if not len(measured.landmarks):
+            return rig
+        found = triangulate(rig, measured.clicks, self.clicked, refine_steps=POINT_STEPS, covariance=False).points
+        return rig.transformed(umeyama(found, measured.landmarks, self.landmark_weights))
+
+    def points(self, measured: Measured) -> Float[Array, "N 3"]:
+        """The points in the room (m); without landmarks in the solver's own frame and unit: there only what no
+        similarity changes, such as an angle, has a derivative that means something.
+
+        Raises:
+            ValueError: the numbers are float64 and JAX would cut them to float32.
+        """
+        rig = self.rig(measured)
+        return triangulate(rig, measured.pixels, self.visible, refine_steps=POINT_STEPS, covariance=False).points
+
+    def _rig_of(self, numbers: Float[Array, "C 15"]) -> CameraRig:
+        turned = jax.vmap(lambda vector, base: rotation.exp(vector) @ base)(numbers[:, :3], self.base)
+        focal = jnp.exp(numbers[:, FOCAL])
+        focal = jnp.stack([focal * jnp.exp(numbers[:, FOCAL + 1]), focal], axis=1)
+        lens = numbers[:, CENTER], numbers[:, RADIAL.start :]
+        return CameraRig.from_parameters(focal, *lens, turned, numbers[:, 3:6], self.image_sizes, self.names)
+
+
+def chain_of(
+    calibration: Calibration,
+    pixels: Float[AnyArray, "N C 2"],
+    visible: Bool[AnyArray, "N C"],
+    *,
+    landmarks: Float[AnyArray, "L 3"] | None = None,
+    clicks: Float[AnyArray, "L C 2"] | None = None,
+    clicked: Bool[AnyArray, "L C"] | None = None,
+    sigmas: Float[AnyArray, " L"] | None = None,
+) -> tuple[Chain, Measured]:
+    """How points hang on everything measured, for a calibration as `calibrate` returned it, aligned or not.
+
+    Use both in float64. What the calibration does not believe has weight 0.
+
+    Args:
+        pixels: of the points that are asked for, px.
+        visible: which of them there are; two or more a point.
+        landmarks: known places, m; without them the points stay in the solver's frame.
+        clicks: where the landmarks are seen, px.
+        clicked: which of these there are; two or more a landmark.
+        sigmas: standard deviation of each landmark's coordinates, m, as given to `align_to_landmarks`.
+
+    Raises:
+        UsageError: the calibration does not say which numbers were free (it was read from a file, or made by hand).
+        InsufficientDataError: fewer than three landmarks, or a landmark or point with fewer than two pixels.
+    """
+    if calibration.freedom is None:
+        raise UsageError(
+            "This calibration does not say which of its numbers were free; calibrate again from its tracks."
+        )
+    count = calibration.tracks.cameras
+    if landmarks is None:
+        landmarks, clicks, clicked = np.zeros((0, 3)), np.zeros((0, count, 2)), np.zeros((0, count), bool)
+    elif clicks is None or clicked is None:
+        raise UsageError(f"The clicks on the {len(landmarks)} landmarks are missing; give clicks and clicked too.")
+    elif len(landmarks) < LANDMARKS:
+        raise InsufficientDataError(f"{len(landmarks)} landmarks do not hold a frame; measure {LANDMARKS} or more.")
+    for what, seen in (("Landmark", clicked), ("Point", visible)):
+        few = np.flatnonzero(np.asarray(seen).sum(axis=1) < 2)
+        if len(few):
+            views = int(np.asarray(seen)[few[0]].sum())
+            raise InsufficientDataError(f"{what} {few[0]} is seen by {views} cameras; a point needs two or more.")
+    weights = np.ones(len(landmarks)) if sigmas is None else (np.min(sigmas) / np.asarray(sigmas)) ** 2
+    with jax.enable_x64(True):
+        return _chain(calibration, weights, clicked, visible), _measured(
+            calibration, landmarks, np.where(np.asarray(clicked)[..., None], clicks, 0.0), pixels, visible
+        )
+
+
+def _chain(calibration: Calibration, weights, clicked, visible) -> Chain:
+    rig, freedom = calibration.rig, calibration.freedom
+    assert freedom is not None
+    numbers = np.zeros((len(rig), SIZE))
+    numbers[:, 3:6], numbers[:, FOCAL:] = rig.cameras.cam_from_world.translation, known_numbers(rig)
+    points = jnp.asarray(calibration.points, float)
+    scale = LEAST_SQUARES if calibration.loss_scale is None else calibration.loss_scale
+    return Chain(
+        Unknowns(jnp.asarray(numbers), _in_blocks(points, min(BLOCK, len(points)))),
+        jnp.asarray(rig.cameras.cam_from_world.rotation),
+        jnp.asarray(freedom.free),
+        jnp.asarray(scale, float),
+        jnp.asarray(weights),
+        jnp.asarray(clicked),
+        jnp.asarray(visible),
+        tuple((int(width), int(height)) for width, height in np.asarray(rig.image_sizes)),
+        rig.names,
+    )
+
+
+def _measured(calibration: Calibration, landmarks, clicks, pixels, visible) -> Measured:
+    assert calibration.freedom is not None
+    freedom = calibration.freedom.at_noise(calibration.sigma_px)
+    believed = calibration.kept & calibration.point_valid[:, None]
+    parts = (
+        np.where(believed[..., None], calibration.tracks.pixels, 0.0),
+        believed,
+        freedom.prior_mean,
+        np.where(freedom.free, freedom.prior_weight, 0.0),
+        landmarks,
+        clicks,
+        np.where(np.asarray(visible)[..., None], pixels, 0.0),
+    )
+    return Measured(*(jnp.asarray(part, float) for part in parts))
+
+
+def _in_blocks(values: Shaped[Array, "F ..."], block: int) -> Shaped[Array, "NB ... B"]:
+    """With zeros at the end, so that all blocks are full."""
+    padded = jnp.pad(values, ((0, -len(values) % block), *[(0, 0)] * (values.ndim - 1)))
+    return jnp.moveaxis(padded.reshape(-1, block, *values.shape[1:]), 1, -1)

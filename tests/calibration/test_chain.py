@@ -1,0 +1,138 @@
+"""The whole chain, pixels of the light to the angle of an arm: its derivatives against solving everything again."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
+from jaxpoint.calibration.bundle import FOCAL
+from jaxpoint.calibration.chain import Measured, chain_of
+from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.compilation import jit_once
+from jaxpoint.config import LensSettings
+from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.geometry.line import Ray, angle_between, distance_to_point
+from jaxpoint.triangulation import triangulate
+
+NOISE_PX = 2.0
+OBJECT_M = np.array([1.0, 4.5, 1.2])
+ARM_M = np.array([[2.8, 2.4, 1.4], [2.9, 2.9, 1.3]])
+
+
+@pytest.fixture(scope="module")
+def seen(solved_room):
+    """A room of 4 cameras and 40 frames, all pixels with 2 px of noise, and an arm in it."""
+    known, truth = solved_room
+    rng = np.random.default_rng(2)
+    frames = np.flatnonzero(truth.tracks.visible.sum(axis=1) >= 3)[:40]
+    tracks = truth.tracks.select_frames(frames)
+    exact = known.room.seen(known.room.points[frames])[0]
+    tracks = replace(tracks, pixels=exact + rng.normal(0.0, NOISE_PX, exact.shape))
+    recording = Recording.of(tracks)
+    freedom = Freedom.of(recording, LensSettings(), "radial2")
+    calibration = replace(
+        truth,
+        tracks=tracks,
+        points=truth.points[frames],
+        point_valid=truth.point_valid[frames],
+        residuals=truth.residuals[frames],
+        verdicts=np.where(tracks.visible, 0, 1),
+        sigma_px=NOISE_PX,
+        freedom=Freedom(freedom.free[:4], freedom.prior_mean[:4], freedom.prior_weight[:4]),
+        loss_scale=2 * NOISE_PX,
+    )
+    arm, visible = known.room.seen(ARM_M)
+    landmarks = known.landmarks
+    marks = {
+        "landmarks": landmarks.points,
+        "clicks": known.clicks.pixels[:8] + rng.normal(0.0, NOISE_PX, (8, 4, 2)),
+        "clicked": known.clicks.visible[:8],
+        "sigmas": np.linspace(0.002, 0.01, 8),
+    }
+    return calibration, arm + rng.normal(0.0, NOISE_PX, arm.shape), visible, marks
+
+
+@pytest.fixture(scope="module")
+def chain(seen):
+    calibration, arm, visible, marks = seen
+    return chain_of(calibration, arm, visible, **marks)
+
+
+def answer(chain, measured):
+    """The angle (rad) between the line of an arm and the way to an object, and the object's distance from the line."""
+    base, tip = chain.points(measured)
+    line = Ray.through(base, tip)
+    return angle_between(line.direction, OBJECT_M - tip) + distance_to_point(line, OBJECT_M)
+
+
+both = jit_once(lambda chain, measured: jax.value_and_grad(lambda measured: answer(chain, measured))(measured))
+
+
+def direction_of(chain, measured, name, rng):
+    """A thousandth of a pixel or metre or of itself; what is hidden, held or has no prior stays."""
+    value = np.asarray(getattr(measured, name))
+    masks = {"light": measured.weights > 0, "clicks": chain.clicked, "pixels": chain.visible}
+    direction = rng.normal(size=value.shape)
+    if name in masks:
+        direction = direction * np.asarray(masks[name])[..., None]
+    elif name == "prior_mean":
+        direction = direction * (np.asarray(measured.prior_weight) > 0)
+    elif name != "landmarks":
+        direction = direction * value
+    return 1e-3 * direction / np.abs(direction).max() * (np.abs(value).max() if name == "prior_weight" else 1.0)
+
+
+@pytest.mark.parametrize("name", Measured.__dataclass_fields__)
+def test_the_gradient_is_that_of_solving_everything_again(chain, name):
+    function, measured = chain
+    direction = direction_of(function, measured, name, np.random.default_rng(8))
+    along = float((getattr(both(function, measured)[1], name) * direction).sum())
+
+    def at(sign):
+        return float(both(function, replace(measured, **{name: getattr(measured, name) + sign * direction}))[0])
+
+    assert along == pytest.approx((at(1.0) - at(-1.0)) / 2, rel=1e-5)
+
+
+def test_it_is_what_the_pipeline_computes(seen, chain):
+    """The same points as from the rig that the chain solved, aligned and triangulated by the functions for users."""
+    calibration, arm, visible, marks = seen
+    function, measured = chain
+    rig = jit_once(lambda measured: function.rig(measured))(measured)
+    loose, free = chain_of(calibration, arm, visible)
+    assert free.landmarks.shape == (0, 3)
+    solved = replace(calibration, rig=jit_once(lambda measured: loose.rig(measured))(free))
+    found = triangulate(solved.rig, marks["clicks"], marks["clicked"]).points
+    aligned = apply_alignment(solved, align_to_landmarks(found, marks["landmarks"], marks["sigmas"]))
+    np.testing.assert_allclose(rig.positions, aligned.rig.positions, atol=1e-7)
+    np.testing.assert_allclose(rig.project(ARM_M), aligned.rig.project(ARM_M), atol=1e-4)
+    np.testing.assert_allclose(np.linalg.norm(rig.positions - calibration.rig.positions, axis=1), 0.0, atol=0.2)
+
+
+def test_what_is_hidden_has_no_influence(chain):
+    function, measured = chain
+    gradient = both(function, measured)[1]
+    assert not np.asarray(gradient.light)[np.asarray(measured.weights) == 0].any()
+    assert not np.asarray(gradient.clicks)[~np.asarray(function.clicked)].any()
+    assert not np.asarray(gradient.pixels)[~np.asarray(function.visible)].any()
+    assert np.asarray(gradient.prior_mean)[:, FOCAL].any() == np.asarray(measured.prior_weight)[:, FOCAL].any()
+
+
+@pytest.mark.usefixtures("any_shape")
+def test_bad_input_is_named(seen):
+    calibration, arm, visible, marks = seen
+    with pytest.raises(UsageError, match="which of its numbers were free"):
+        chain_of(replace(calibration, freedom=None), arm, visible)
+    with pytest.raises(UsageError, match="clicks on the 8 landmarks are missing"):
+        chain_of(calibration, arm, visible, landmarks=marks["landmarks"])
+    with pytest.raises(InsufficientDataError, match="2 landmarks do not hold"):
+        chain_of(calibration, arm, visible, **{name: part[:2] for name, part in marks.items()})
+    with pytest.raises(InsufficientDataError, match="Point 1 is seen by 1 cameras"):
+        chain_of(calibration, arm, np.array([[1, 1, 0, 0], [1, 0, 0, 0]], bool))
+    function, measured = chain_of(calibration, arm, visible)
+    with jax.enable_x64(False), pytest.raises(ValueError, match="jax_enable_x64"):
+        function.points(measured)
+    assert jnp.isfinite(function.landmark_weights).all()
