@@ -7,10 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
-from jaxpoint.calibration.bundle import FOCAL
+from jaxpoint.calibration.alignment import align_to_landmarks
+from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.chain import Measured, chain_of
-from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
+from jaxpoint.calibration.selfcal import rig_of
 from jaxpoint.compilation import jit_once
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import InsufficientDataError, UsageError
@@ -98,18 +100,44 @@ def test_the_gradient_is_that_of_solving_everything_again(chain, name):
 
 
 def test_it_is_what_the_pipeline_computes(seen, chain):
-    """The same points as from the rig that the chain solved, aligned and triangulated by the functions for users."""
+    """The same answer as from the adjustment, triangulation and alignment that users call one by one."""
     calibration, arm, visible, marks = seen
-    function, measured = chain
-    rig = jit_once(lambda measured: function.rig(measured))(measured)
-    loose, free = chain_of(calibration, arm, visible)
-    assert free.landmarks.shape == (0, 3)
-    solved = replace(calibration, rig=jit_once(lambda measured: loose.rig(measured))(free))
-    found = triangulate(solved.rig, marks["clicks"], marks["clicked"]).points
-    aligned = apply_alignment(solved, align_to_landmarks(found, marks["landmarks"], marks["sigmas"]))
-    np.testing.assert_allclose(rig.positions, aligned.rig.positions, atol=1e-7)
-    np.testing.assert_allclose(rig.project(ARM_M), aligned.rig.project(ARM_M), atol=1e-4)
-    np.testing.assert_allclose(np.linalg.norm(rig.positions - calibration.rig.positions, axis=1), 0.0, atol=0.2)
+    recording = Recording.of(calibration.tracks)
+    start = RigState(*(np.zeros(shape) for shape in ((4, SIZE), (4, 3, 3), (len(recording.visible), 3))))
+    pose = calibration.rig.cameras.cam_from_world
+    start.base[:], start.cameras[:, 3:6] = pose.rotation, pose.translation
+    start.cameras[:, FOCAL:], start.points[: len(calibration.points)] = (
+        known_numbers(calibration.rig),
+        calibration.points,
+    )
+    freedom = calibration.freedom.at_noise(NOISE_PX)
+    end = adjust(recording, start, recording.visible, freedom, loss_scale=2 * NOISE_PX, rtol=1e-12)
+    rig = rig_of(end.state, calibration.tracks)
+    found = triangulate(rig, marks["clicks"], marks["clicked"]).points
+    similarity = align_to_landmarks(found, marks["landmarks"], marks["sigmas"]).similarity
+    base, tip = triangulate(rig.transformed(similarity), arm, visible, refine_steps=20).points
+    line = Ray.through(base, tip)
+    wanted = angle_between(line.direction, OBJECT_M - tip) + distance_to_point(line, OBJECT_M)
+    assert float(both(*chain)[0]) == pytest.approx(float(wanted), rel=1e-7)
+
+
+def test_without_landmarks_an_angle_has_its_derivative(seen):
+    """The gauge is free then; what no similarity changes does not notice."""
+    calibration, arm, visible, _ = seen
+    third = calibration.tracks.pixels[:1], calibration.tracks.visible[:1]
+    chain, measured = chain_of(calibration, np.concatenate([arm, third[0]]), np.concatenate([visible, third[1]]))
+    direction = direction_of(chain, measured, "light", np.random.default_rng(9))
+
+    @jit_once
+    def turned(measured):
+        def angle(measured):
+            base, tip, other = chain.points(measured)
+            return angle_between(tip - base, other - base)
+
+        return jax.value_and_grad(angle)(measured)
+
+    ahead, behind = (turned(replace(measured, light=measured.light + sign * direction))[0] for sign in (1, -1))
+    assert float((turned(measured)[1].light * direction).sum()) == pytest.approx(float(ahead - behind) / 2, rel=1e-5)
 
 
 def test_what_is_hidden_has_no_influence(chain):

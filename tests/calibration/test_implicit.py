@@ -25,7 +25,7 @@ def problem_of(scale, *, cameras=4, frames=40, block=20, seed=3):
     rng = np.random.default_rng(seed)
     base = Rotation.from_euler("y", np.linspace(-0.5, 0.5, cameras)[:, None]).as_matrix()
     numbers = np.zeros((cameras, SIZE))
-    numbers[:, 3:6] = [0, 0, 5] + rng.uniform(-0.5, 0.5, (cameras, 3))
+    numbers[:, 3:6] = rng.uniform([-0.5, -0.5, 4.5], [0.5, 0.5, 5.5], (cameras, 3))
     numbers[:, 6], numbers[:, 8:10], numbers[:, 10] = np.log(800.0), (640.0, 360.0), -0.1
     points = rng.uniform(-1.0, 1.0, (frames, 3))
     start = Unknowns(jnp.asarray(numbers), jnp.asarray(to_blocks(points, block)))
@@ -36,9 +36,10 @@ def problem_of(scale, *, cameras=4, frames=40, block=20, seed=3):
     free = np.ones((cameras, SIZE), bool)
     free[0, :2] = False
     state = MODEL.state(start.cameras, jnp.asarray(base))
+    noise = rng.normal(0.0, NOISE_PX, (frames, cameras, 2))
     nowhere = jnp.zeros((len(start.points), cameras, 2, block))
     problem = Problem(
-        blocks_of_residuals(state, start.points, nowhere) + to_blocks(rng.normal(0.0, NOISE_PX, (frames, cameras, 2)), block),
+        blocks_of_residuals(state, start.points, nowhere) + to_blocks(noise, block),
         jnp.asarray(to_blocks(weights, block)),
         jnp.asarray(base),
         jnp.asarray(free),

@@ -58,7 +58,7 @@ class Chain(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
 
     def rig(self, measured: Measured) -> CameraRig:
-        """The cameras in the room; without landmarks in the solver's own frame, whose derivatives mean nothing.
+        """The cameras in the room; without landmarks in the solver's own frame and unit.
 
         Raises:
             ValueError: the numbers are float64 and JAX would cut them to float32.
@@ -82,14 +82,18 @@ class Chain(eqx.Module):
         return rig.transformed(umeyama(found, measured.landmarks, self.landmark_weights))
 
     def points(self, measured: Measured) -> Float[Array, "N 3"]:
-        """The points in the room (m); without landmarks in the solver's own frame and unit: there only what no
-        similarity changes, such as an angle, has a derivative that means something.
+        """The points in the room, m; without landmarks in the solver's own frame and unit.
+
+        There only what no similarity changes, such as an angle, has a derivative that means something.
 
         Raises:
             ValueError: the numbers are float64 and JAX would cut them to float32.
         """
-        rig = self.rig(measured)
-        return triangulate(rig, measured.pixels, self.visible, refine_steps=POINT_STEPS, covariance=False).points
+        return self.placed(self.rig(measured), measured.pixels)
+
+    def placed(self, rig: CameraRig, pixels: Float[Array, "N C 2"]) -> Float[Array, "N 3"]:
+        """Points as a rig sees them (px), where the rig is wanted too."""
+        return triangulate(rig, pixels, self.visible, refine_steps=POINT_STEPS, covariance=False).points
 
     def _rig_of(self, numbers: Float[Array, "C 15"]) -> CameraRig:
         turned = jax.vmap(lambda vector, base: rotation.exp(vector) @ base)(numbers[:, :3], self.base)

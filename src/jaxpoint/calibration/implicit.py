@@ -198,7 +198,9 @@ def _own_blocks(own: Float[Array, "C p p"], problem: Problem) -> Float[Array, "C
     """The cameras' blocks with their priors; a held parameter has a lone 1."""
     unit = jnp.eye(own.shape[1], dtype=own.dtype)[None]
     both = problem.free[:, :, None] & problem.free[:, None, :]
-    return jnp.where(both, own + problem.prior_weight[:, :, None] * unit, jnp.where(problem.free[:, :, None], 0.0, unit))
+    return jnp.where(
+        both, own + problem.prior_weight[:, :, None] * unit, jnp.where(problem.free[:, :, None], 0.0, unit)
+    )
 
 
 def _eigenvalues(
