@@ -1,12 +1,12 @@
 """Which single observation, and which landmark, turns a pointing line most?
 
-A room of simulated cameras is calibrated from its light, aligned with clicked landmarks, and an arm in it is
-triangulated. The whole chain is one function (`jaxpoint.calibration.chain`), so one derivative tells how far the
-pointing line would turn if any one number were different: degrees a pixel for every pixel of the light, every click
-and both ends of the arm, in the direction that turns it most, and degrees a millimetre for every landmark. The first of
-each kind are checked: moved by a tenth of a pixel or millimetre and by a whole one, and everything solved again. (The
-robust loss bends within a pixel, so the whole one of the light turns less.) The light's are also left out. With a recording (anything that `jaxpoint calibrate` reads) the question is the angle between three far
-points of its own light instead.
+A simulated room is calibrated from its light, aligned with clicked landmarks, and an arm in it is triangulated. The
+whole chain is one function (`jaxpoint.calibration.chain`), so one derivative tells how far the pointing line would turn
+if any one number were different: degrees a pixel for every pixel of the light, every click and both ends of the arm, in
+the direction that turns it most, and degrees a millimetre for every landmark. The first of each kind are checked: moved
+by a tenth of a pixel or millimetre and by a whole one, and everything solved again. (The robust loss bends within a
+pixel, so a whole one of the light often turns less.) The light's are also left out. With a recording the question is
+the angle between three far points of its own light instead.
 
     python experiments/influence.py --out influence.md
     python experiments/influence.py DATA/svoboda_strawlab2010 --every 4 --out influence_strawlab.md
@@ -25,8 +25,9 @@ import jax.numpy as jnp
 import numpy as np
 import tyro
 from jaxtyping import Array, Float
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
@@ -34,15 +35,16 @@ from jaxpoint.calibration.chain import Chain, Measured, chain_of
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.compilation import jit
+from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.line import angle_between, normalised
 from jaxpoint.io.tracks import read_tracks
-from jaxpoint.report.style import BAD, INK, style
+from jaxpoint.report.style import BAD, INK, short_names, style
 from jaxpoint.simulate.known import CLICK_PX, TAPE_M, KnownRoom, known_in
 from jaxpoint.simulate.rooms import ROOM_M, random_room
 from jaxpoint.triangulation import triangulate
 
+BLUES = ListedColormap(colormaps["YlGnBu"](np.linspace(0.2, 1.0, 256)))  # the palest are lost on white
 ARM_M = 0.6  # from shoulder to hand
 ARM_PX = 1.0  # standard deviation with which an arm's end is found in an image
 LANDMARKS = 6
@@ -178,7 +180,7 @@ def far_frames(calibration: Calibration) -> np.ndarray:
 def solver_of(question: Question) -> Callable[[Measured], Solved]:
     """The function that solves everything."""
 
-    @jit
+    @jit_once
     def solve(chain: Chain, measured: Measured) -> Solved:
         def answer(measured: Measured) -> tuple[Float[Array, " M"], CameraRig]:
             rig = chain.rig(measured)
@@ -307,19 +309,23 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
     cameras = np.asarray(rig.positions)
     flat = from_above(question, np.concatenate([cameras, light[seen.sum(axis=1) >= 2]]))
     with style():
-        figure = Figure(figsize=(9.0, 7.0), layout="constrained")
+        figure = Figure(figsize=(9.0, 6.2), layout="constrained")
         ax = figure.add_subplot()
         draw_light(figure, ax, flat(light), rows["light"])
         for rank, row in enumerate(rows["light"][:top]):
             ends = flat(np.stack([cameras[row.index[1]], light[row.index[0]]]))
             label = None if rank else f"first {top} pixels of the light"
             ax.plot(*ends.T, color=INK, lw=1.0, zorder=3, label=label)
-        for name, place in zip(chain.names, flat(cameras)):
+        for name, place in zip(short_names(chain.names), flat(cameras)):
             ax.plot(*place, "^", ms=11, color=INK, mec="white", zorder=4)
-            ax.annotate(name, place, (0, 9), textcoords="offset points", color=INK, weight="bold", ha="center")
+            up = place[1] > np.median(flat(light)[:, 1])
+            ax.annotate(
+                name, place, (0, 9 if up else -18), textcoords="offset points", color=INK, weight="bold", ha="center"
+            )
         draw_landmarks(ax, question, rows, flat)
         draw_line(ax, question, flat, rig)
-        ax.set(aspect="equal", xlabel=f"x, {question.unit}", ylabel=f"y, {question.unit}")
+        unit = "m" if question.unit == "m" else "solver's unit"
+        ax.set(aspect="equal", xlabel=f"x, {unit}", ylabel=f"y, {unit}")
         ax.margins(0.08)
         ax.set_title(f"What turns {question.what} (from above)")
         figure.legend(loc="outside lower center", ncols=4)
@@ -343,7 +349,7 @@ def draw_light(figure: Figure, ax: Axes, places: np.ndarray, rows: list[Row]) ->
     frames, values = np.array(list(most)), 1e3 * np.array(list(most.values()))
     order = np.argsort(values)
     scale = LogNorm(np.quantile(values, 0.1), values.max())
-    dots = ax.scatter(*places[frames[order]].T, c=values[order], s=22, cmap="YlGnBu", norm=scale, zorder=2)
+    dots = ax.scatter(*places[frames[order]].T, c=values[order], s=22, cmap=BLUES, norm=scale, zorder=2)
     plain = FuncFormatter(lambda value, _: f"{value:g}")
     label = "thousandths of a degree a pixel, the most of a point's pixels"
     figure.colorbar(dots, ax=ax, label=label, shrink=0.8, format=plain).ax.yaxis.set_minor_formatter(plain)
@@ -354,10 +360,11 @@ def draw_landmarks(ax: Axes, question: Question, rows: dict[str, list[Row]], fla
     places = flat(np.asarray(question.measured.landmarks))
     for rank, row in enumerate(rows.get("landmarks", [])):
         place = places[row.index[0]]
-        ax.plot(*place, "s", ms=8, mfc="none", mec=INK, mew=1.6, zorder=4, label=None if rank else "landmark")
-        text = f"{question.landmark_names[row.index[0]]}: {1e3 * row.degrees:.0f}/1000 degrees a mm"
-        box = {"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none", "alpha": 0.85}
-        ax.annotate(text, place, (9, -4), textcoords="offset points", color=INK, fontsize=7.5, bbox=box, zorder=6)
+        label = None if rank else "landmark, thousandths of a degree a mm"
+        ax.plot(*place, "s", ms=8, mfc="none", mec=INK, mew=1.6, zorder=4, label=label)
+        box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+        text = f"{1e3 * row.degrees:.0f}"
+        ax.annotate(text, place, (8, -4), textcoords="offset points", color=INK, weight="bold", bbox=box, zorder=4)
 
 
 def draw_line(ax: Axes, question: Question, flat, rig) -> None:

@@ -1,6 +1,7 @@
 """Shared by all tests: where the real recordings lie, and strict JAX settings."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import hypothesis
@@ -10,7 +11,9 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.pairs import pair_table
+from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Calibration, Stage, Verdict
+from jaxpoint.config import LensSettings
 from jaxpoint.simulate.known import known_in
 from jaxpoint.simulate.rooms import random_room
 
@@ -58,6 +61,18 @@ def solved_room():
         seconds={"init": 0.5, "adjust": 1.5, "total": 2.0},
     )
     return known_in(room, 0), calibration
+
+
+@pytest.fixture(scope="session")
+def free_room(solved_room):
+    """The same, its calibration saying what was free, as `calibrate` does; the first 40 frames."""
+    known, truth = solved_room
+    first = slice(0, 40)
+    parts = {name: getattr(truth, name)[first] for name in ("points", "point_valid", "residuals", "verdicts")}
+    tracks = truth.tracks.select_frames(np.arange(40))
+    freedom = Freedom.of(Recording.of(tracks), LensSettings(), "radial2")
+    freedom = Freedom(*(part[:4] for part in (freedom.free, freedom.prior_mean, freedom.prior_weight)))
+    return known, replace(truth, tracks=tracks, **parts, freedom=freedom, loss_scale=2 * truth.sigma_px)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import influence
 import random_rooms as rooms
 import self_calibration_stages as stages
 import validation_lengths as lengths
@@ -185,3 +186,33 @@ def test_a_quality_gate_is_no_success(monkeypatch, easy, solved_room):
     assert (found.verdict, found.right, found.start) == ("gate", False, "thesis")
     assert "did not converge" in found.remark
     assert found.ratio > 1
+
+
+def test_influence_is_what_solving_again_shows(free_room, tmp_path):
+    known, calibration = free_room
+    question = influence.pointing_question(known, calibration, 1)
+    solve = influence.solver_of(question)
+    solved = solve(question.measured)
+    rows = influence.ranked(question, solved.slopes)
+    believed = int(np.asarray(question.measured.weights).sum())
+    assert {kind: len(some) for kind, some in rows.items()} == {
+        "light": believed - lonely(question.measured.weights),
+        "clicks": int(known.clicks.visible[:8].sum()),
+        "landmarks": 8,
+        "pixels": int(np.asarray(question.chain.visible).sum()),
+    }
+    for kind, some in rows.items():
+        assert [row.degrees for row in some] == sorted((row.degrees for row in some), reverse=True)
+        row = some[0] = influence.checked(question, solve, np.asarray(solved.value), some[0])
+        assert row.nearby == pytest.approx(row.degrees, rel=0.05), kind
+        assert (row.left_out is None) == (kind != "light")
+    influence.picture(question, solved.rig, rows, 1).savefig(tmp_path / "influence.png")
+    text = influence.markdown(question, rows, influence.budget(question, solved.slopes), 1)
+    assert f"the {rows['landmarks'][0].name} (" in text
+    assert text.count("\n|") == 6
+
+
+def lonely(weights) -> int:
+    """Pixels of frames in which no other camera is believed: they say nothing."""
+    views = np.asarray(weights).sum(axis=1)
+    return int(views[views == 1].sum())

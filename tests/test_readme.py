@@ -37,13 +37,32 @@ def test_the_python_example_runs(tmp_path, monkeypatch, solved_room, capsys):
     save_tracks(tmp_path / "tracks.npz", calibration.tracks)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxpoint.calibration.selfcal.calibrate", lambda tracks: calibration)
-    example, uncertainty, devices = blocks("python")
+    example, uncertainty, _, devices = blocks("python")
     names: dict = {}
     exec(example, names)
     for line in re.findall(r"^from jaxpoint.*", uncertainty + devices, re.MULTILINE):
         exec(line, names)
     np.testing.assert_allclose(names["camera"].position, solved_room[0].room.positions[2], atol=1e-9)
     assert names["found"].valid.shape == (calibration.tracks.frames,)
+    assert capsys.readouterr().out
+
+
+def test_the_derivatives_shown_are_there(free_room, capsys):
+    known, calibration = free_room
+    clicks = known.clicks
+    arm = slice(8, 10)  # two clicked points that are no landmarks
+    names = {
+        "calibration": calibration,
+        "arm_pixels": clicks.pixels[arm],
+        "arm_visible": clicks.visible[arm],
+        "landmarks": known.landmarks.points,
+        "clicks": clicks.pixels[:8],
+        "clicked": clicks.visible[:8],
+    }
+    (example,) = (block for block in blocks("python") if "chain_of" in block)
+    exec(example, names)
+    assert names["by"].light.shape == calibration.tracks.pixels.shape
+    assert all(np.abs(part).max() > 0 for part in (names["by"].light, names["by"].landmarks, names["by"].clicks))
     assert capsys.readouterr().out
 
 

@@ -26,7 +26,7 @@ from jaxpoint.geometry import rotation
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.triangulation import triangulate
 
-SOLVER = SchurLevenbergMarquardt(BrownModel(), rtol=1e-12, xtol=1e-8)
+SOLVER = SchurLevenbergMarquardt(model=BrownModel(), rtol=1e-12, xtol=1e-8)
 STEPS = 200
 POINT_STEPS = 20  # of a triangulated point, at most
 LANDMARKS = 3  # hold a frame
@@ -100,7 +100,7 @@ class Chain(eqx.Module):
         focal = jnp.exp(numbers[:, FOCAL])
         focal = jnp.stack([focal * jnp.exp(numbers[:, FOCAL + 1]), focal], axis=1)
         lens = numbers[:, CENTER], numbers[:, RADIAL.start :]
-        return CameraRig.from_parameters(focal, *lens, turned, numbers[:, 3:6], self.image_sizes, self.names)
+        return CameraRig.from_parameters(focal, *lens, turned, numbers[:, 3:6], np.array(self.image_sizes), self.names)
 
 
 def chain_of(
