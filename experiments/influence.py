@@ -76,7 +76,7 @@ class Question:
     """A calibration and what is asked of it. `answer` (rad) is such that a turn is the length of its change."""
 
     what: str
-    answer: Callable[[Chain, Measured, CameraRig], Float[Array, " M"]]
+    answer: Callable[[Chain, Measured], tuple[Float[Array, " M"], CameraRig]]
     chain: Chain
     measured: Measured
     frame_ids: np.ndarray
@@ -140,21 +140,21 @@ class Solved(NamedTuple):
     rig: CameraRig
 
 
-def direction(chain: Chain, measured: Measured, rig: CameraRig) -> Float[Array, "3"]:
+def direction(chain: Chain, measured: Measured) -> tuple[Float[Array, "3"], CameraRig]:
     """The pointing line's unit vector: for small turns the length of its change is the turn in rad."""
-    base, tip = chain.placed(rig, measured.pixels)
-    return normalised(tip - base)
+    rig, (base, tip) = chain.rig_and_points(measured)
+    return normalised(tip - base), rig
 
 
 def angle_question(calibration: Calibration) -> Question:
     """The angle between three points of the light that are far apart, all cameras' own; no room is needed."""
     rows = far_frames(calibration)
     kept = calibration.kept[rows]
-    chain, measured = chain_of(calibration, np.zeros((3, *calibration.tracks.pixels.shape[1:])), kept)
+    chain, measured = chain_of(calibration, calibration.tracks.pixels[rows], kept)
 
-    def angle(chain: Chain, measured: Measured, rig: CameraRig) -> Float[Array, "1"]:
-        first, corner, last = chain.placed(rig, measured.light[rows])
-        return angle_between(first - corner, last - corner)[None]
+    def angle(chain: Chain, measured: Measured) -> tuple[Float[Array, "1"], CameraRig]:
+        rig, (first, corner, last) = chain.rig_and_points(replace(measured, pixels=measured.light[rows]))
+        return angle_between(first - corner, last - corner)[None], rig
 
     ids = calibration.tracks.frame_ids
     what = f"the angle at the light of frame {ids[rows[1]]} between those of {ids[rows[0]]} and {ids[rows[2]]}"
@@ -182,11 +182,7 @@ def solver_of(question: Question) -> Callable[[Measured], Solved]:
 
     @jit_once
     def solve(chain: Chain, measured: Measured) -> Solved:
-        def answer(measured: Measured) -> tuple[Float[Array, " M"], CameraRig]:
-            rig = chain.rig(measured)
-            return question.answer(chain, measured, rig), rig
-
-        value, pull, rig = jax.vjp(answer, measured, has_aux=True)
+        value, pull, rig = jax.vjp(lambda measured: question.answer(chain, measured), measured, has_aux=True)
         return Solved(value, jax.vmap(lambda row: pull(row)[0])(jnp.eye(len(value))), rig)
 
     return lambda measured: solve(question.chain, measured)
@@ -305,7 +301,9 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
     """The room from above: the light by its influence, lines of sight of the first, landmarks and the arm."""
     chain, measured = question.chain, question.measured
     seen = np.asarray(measured.weights) > 0
-    light = np.asarray(triangulate(rig, measured.light, seen).points)
+    pixels, visible = (np.concatenate(pair) for pair in ((measured.light, measured.pixels), (seen, chain.visible)))
+    points = np.asarray(triangulate(rig, pixels, visible, covariance=False).points)
+    light, ends = points[: len(seen)], points[len(seen) :]
     cameras = np.asarray(rig.positions)
     flat = from_above(question, np.concatenate([cameras, light[seen.sum(axis=1) >= 2]]))
     with style():
@@ -323,7 +321,7 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
                 name, place, (0, 9 if up else -18), textcoords="offset points", color=INK, weight="bold", ha="center"
             )
         draw_landmarks(ax, question, rows, flat)
-        draw_line(ax, question, flat, rig)
+        draw_line(ax, question, flat(light[list(question.legs)] if question.legs else ends))
         unit = "m" if question.unit == "m" else "solver's unit"
         ax.set(aspect="equal", xlabel=f"x, {unit}", ylabel=f"y, {unit}")
         ax.margins(0.08)
@@ -367,16 +365,14 @@ def draw_landmarks(ax: Axes, question: Question, rows: dict[str, list[Row]], fla
         ax.annotate(text, place, (8, -4), textcoords="offset points", color=INK, weight="bold", bbox=box, zorder=4)
 
 
-def draw_line(ax: Axes, question: Question, flat, rig) -> None:
-    """The arm and where it points, or the two legs of the angle."""
+def draw_line(ax: Axes, question: Question, places: np.ndarray) -> None:
+    """The two legs of the angle, or the arm and where it points."""
     if question.legs:
-        legs = triangulate(rig, question.measured.light, question.measured.weights > 0).points
-        ax.plot(*flat(np.asarray(legs)[list(question.legs)]).T, "-", color=BAD, lw=2.5, zorder=5, label="angle")
-    else:
-        points = flat(np.asarray(triangulate(rig, question.measured.pixels, question.chain.visible).points))
-        far = points[0] + 6.0 * (points[1] - points[0])
-        ax.plot(*np.stack([points[0], far]).T, "--", color=BAD, lw=1.2, zorder=5)
-        ax.plot(*points.T, "-", color=BAD, lw=5, solid_capstyle="round", zorder=5, label="arm")
+        ax.plot(*places.T, "-", color=BAD, lw=2.5, zorder=5, label="angle")
+        return
+    far = places[0] + 6.0 * (places[1] - places[0])
+    ax.plot(*np.stack([places[0], far]).T, "--", color=BAD, lw=1.2, zorder=5)
+    ax.plot(*places.T, "-", color=BAD, lw=5, solid_capstyle="round", zorder=5, label="arm")
 
 
 if __name__ == "__main__":

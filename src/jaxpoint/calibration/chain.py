@@ -57,13 +57,36 @@ class Chain(eqx.Module):
     image_sizes: tuple[tuple[int, int], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
 
-    def rig(self, measured: Measured) -> CameraRig:
-        """The cameras in the room; without landmarks in the solver's own frame and unit.
+    def points(self, measured: Measured) -> Float[Array, "N 3"]:
+        """The points in the room, m; without landmarks in the solver's own frame and unit.
+
+        There only what no similarity changes, such as an angle, has a derivative that means something.
+
+        Raises:
+            ValueError: the numbers are float64 and JAX would cut them to float32.
+        """
+        return self.rig_and_points(measured)[1]
+
+    def rig_and_points(self, measured: Measured) -> tuple[CameraRig, Float[Array, "N 3"]]:
+        """The cameras too, in the same frame as the points.
 
         Raises:
             ValueError: the numbers are float64 and JAX would cut them to float32.
         """
         as_float(measured.light)
+        rig = self._solved(measured)
+        # Clicks and points at once, in the solver's frame: it is one program, and a similarity changes no pixel.
+        pixels = jnp.concatenate([measured.clicks, measured.pixels])
+        visible = jnp.concatenate([self.clicked, self.visible])
+        found = triangulate(rig, pixels, visible, refine_steps=POINT_STEPS, covariance=False).points
+        count = len(measured.landmarks)
+        if not count:
+            return rig, found
+        similarity = umeyama(found[:count], measured.landmarks, self.landmark_weights)
+        return rig.transformed(similarity), similarity @ found[count:]
+
+    def _solved(self, measured: Measured) -> CameraRig:
+        """The cameras in the solver's own frame."""
         block = self.start.points.shape[2]
         problem = Problem(
             _in_blocks(measured.light, block),
@@ -75,25 +98,7 @@ class Chain(eqx.Module):
             self.loss_scale,
             jnp.asarray(STEPS),
         )
-        rig = self._rig_of(optimum(SOLVER, self.start, problem).cameras)
-        if not len(measured.landmarks):
-            return rig
-        found = triangulate(rig, measured.clicks, self.clicked, refine_steps=POINT_STEPS, covariance=False).points
-        return rig.transformed(umeyama(found, measured.landmarks, self.landmark_weights))
-
-    def points(self, measured: Measured) -> Float[Array, "N 3"]:
-        """The points in the room, m; without landmarks in the solver's own frame and unit.
-
-        There only what no similarity changes, such as an angle, has a derivative that means something.
-
-        Raises:
-            ValueError: the numbers are float64 and JAX would cut them to float32.
-        """
-        return self.placed(self.rig(measured), measured.pixels)
-
-    def placed(self, rig: CameraRig, pixels: Float[Array, "N C 2"]) -> Float[Array, "N 3"]:
-        """Points as a rig sees them (px), where the rig is wanted too."""
-        return triangulate(rig, pixels, self.visible, refine_steps=POINT_STEPS, covariance=False).points
+        return self._rig_of(optimum(SOLVER, self.start, problem).cameras)
 
     def _rig_of(self, numbers: Float[Array, "C 15"]) -> CameraRig:
         turned = jax.vmap(lambda vector, base: rotation.exp(vector) @ base)(numbers[:, :3], self.base)
