@@ -7,7 +7,7 @@ is a mask, so that every lens model is one compiled program.
 
 from __future__ import annotations
 
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -63,23 +63,23 @@ class BrownModel(AbstractModel):
         focal = jnp.exp(log_focal)
         return jnp.stack([focal * jnp.exp(log_aspect) * bent_u + cx - pixel[0], focal * bent_v + cy - pixel[1]])
 
-    def columns(self, state, point, pixel):
+    def columns(self, state, point, pixel, xp: Any = jnp):
         """The derivatives of `residual`, written out.
 
         What many entries share ends in a division: a compiler that recomputes cheap operations for every entry, as
-        XLA does on a CPU, keeps the result of a division. That halves the time.
+        XLA does on a CPU, keeps the result of a division. That halves the time. With `xp = np` numpy computes the same.
         """
         turn, numbers = state
         arm = [turn[i, 0] * point[0] + turn[i, 1] * point[1] + turn[i, 2] * point[2] for i in range(3)]
         z = arm[2] + numbers[2]
-        z = jnp.where(jnp.abs(z) < 1e-9, 1e-9, z)
+        z = xp.where(xp.abs(z) < 1e-9, 1e-9, z)
         u, v = (arm[0] + numbers[0]) / z, (arm[1] + numbers[1]) / z
-        focal_y = jnp.exp(numbers[3])
-        focal_x = focal_y * jnp.exp(numbers[4])
+        focal_y = xp.exp(numbers[3])
+        focal_x = focal_y * xp.exp(numbers[4])
         k1, k2, p1, p2, k3 = (numbers[7 + i] for i in range(5))
         full = u * u + v * v
-        grows = jnp.where(full < MAX_RADIUS2, 2.0, 0.0)  # d r2 / d u = grows u
-        r2 = jnp.minimum(full, MAX_RADIUS2)
+        grows = xp.where(full < MAX_RADIUS2, 2.0, 0.0)  # d r2 / d u = grows u
+        r2 = xp.minimum(full, MAX_RADIUS2)
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         slope = grows * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
         twice, wide_u, wide_v = 2.0 * u * v, r2 + 2.0 * u * u, r2 + 2.0 * v * v
@@ -93,7 +93,7 @@ class BrownModel(AbstractModel):
             focal_x * (u * v * slope + 2.0 * p1 * u + p2 * v * grows) / z,
             focal_y * (radial + v * v * slope + p1 * v * (4.0 + grows) + 2.0 * p2 * u) / z,
         )
-        zero, one = jnp.zeros_like(u), jnp.ones_like(u)
+        zero, one = xp.zeros_like(u), xp.ones_like(u)
         x2, y2 = focal_x * u * r2, focal_y * v * r2
         lens = (
             (bent_u, bent_u, one, zero, x2, x2 * r2, focal_x * twice, focal_x * wide_u, x2 * r2 * r2),

@@ -25,25 +25,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import exp1
 
-from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE, BrownModel, to_blocks
-from jaxpoint.calibration.hypotheses import known_numbers
-from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.calibration.bundle import SIZE
+from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.camera.camera import PARAMETERS, Camera
+from jaxpoint.calibration.sight import covariance_of_points, derivatives, perturbed_by_numbers, poses
+from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.compilation import jit
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.geometry import rotation as so3
 from jaxpoint.geometry.arrays import AnyArray
-from jaxpoint.geometry.linalg import symmetric_full, symmetric_inverse
 from jaxpoint.triangulation import triangulate
 
-MODEL = BrownModel()
 FREEDOMS = 7  # of a similarity: translation, rotation vector (rad), log scale
 NO_LOSS = 50.0  # (loss scale / sigma)^2 / 2 from which a robust loss costs less than 2 % and counts as none
-MANY = 8  # clicked anchors are padded to multiples of this, so that few programs are compiled
+BLOCK = 1024  # points at once
 
 
 class Uncertainty(eqx.Module):
@@ -63,7 +60,7 @@ class Uncertainty(eqx.Module):
     @property
     def centre_covariance(self) -> Float[Array, "C 3 3"]:
         """Covariance of every camera's centre."""
-        by_camera = jax.vmap(_centre_by_numbers)(self.rig.cameras)
+        by_camera = centres_by_numbers(self.rig)
         blocks = self.covariance.reshape(len(self.rig), PARAMETERS, len(self.rig), PARAMETERS)
         own = jnp.einsum("cpcq->cpq", blocks)
         return jnp.einsum("cip,cpq,cjq->cij", by_camera, own, by_camera)
@@ -161,25 +158,22 @@ def uncertainty_of(calibration: Calibration, anchors: Anchors | None = None) -> 
 
 
 def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | None) -> Uncertainty:
-    recording, rig, cameras = Recording.of(calibration.tracks), calibration.rig, calibration.tracks.cameras
+    rig, size = calibration.rig, PARAMETERS * len(calibration.rig)
     weighed = freedom.at_noise(calibration.sigma_px)
-    network = _network(recording, rig, calibration, weighed)
-    anchoring = _inner(recording, calibration) if anchors is None else _outer(recording, calibration, anchors)
-    found = _adjusted(network, anchoring, jnp.asarray(variance_px2(calibration)))
-    if not bool(jnp.isfinite(found.cameras).all()):
+    anchoring = _inner(calibration) if anchors is None else _outer(calibration, anchors)
+    found = _adjusted(calibration, weighed, anchoring, variance_px2(calibration))
+    if not np.isfinite(found.cameras).all():
         raise InsufficientDataError(
             "The observations (or the anchors of the frame) do not determine the rig: its covariance is not finite. "
             "Wave the light through more of every camera's view, or name three landmarks or more off one line."
         )
-    size, kept = SIZE * cameras, slice(0, calibration.tracks.frames)
-    to_perturbed = jnp.asarray(_perturbed_by_numbers(rig))
-    covariance = (to_perturbed @ found.cameras[:size, :size]) @ to_perturbed.T
-    points = np.moveaxis(np.asarray(found.points), -1, 1).reshape(-1, 3, 3)[kept]
-    valid = calibration.point_valid[:, None, None]
+    turn = perturbed_by_numbers(rig)
+    covariance = found.cameras.reshape(len(rig), SIZE, size)
+    covariance = (turn @ covariance).reshape(size, len(rig), SIZE)
+    covariance = np.einsum("dcp,cqp->dcq", covariance, turn).reshape(size, size)
     gauge = "free" if anchors is None else "landmarks"
-    return Uncertainty(
-        rig, covariance, jnp.asarray(np.where(valid, points, 0.0)), jnp.asarray(calibration.sigma_px), gauge
-    )
+    points, sigma = jnp.asarray(found.points), jnp.asarray(calibration.sigma_px)
+    return Uncertainty(rig, jnp.asarray(covariance), points, sigma, gauge)
 
 
 def variance_px2(calibration: Calibration) -> float:
@@ -204,253 +198,196 @@ def variance_px2(calibration: Calibration) -> float:
     return variance * q * (weight - square) / square**2
 
 
-class Network(eqx.Module):
-    """An adjustment at its optimum, padded: C cameras, points in NB blocks of B."""
+class Anchoring(NamedTuple):
+    """What holds the frame: weights of the sum u, and the variances that the known places add."""
 
-    base: Float[Array, "C 3 3"]  # cam_from_world
-    numbers: Float[Array, "C 15"]  # as `bundle` orders them, the rotation vectors at zero
-    points: Float[Array, "NB 3 B"]
-    seen: Bool[Array, "NB C B"]
-    free: Bool[Array, "C 15"]
-    prior: Float[Array, "C 15"]  # px^2 per unit^2
-
-
-class Anchoring(eqx.Module):
-    """What holds the frame, padded: weights of the sum u, and the variances that the known places add."""
-
-    light: Float[Array, "NB B"]  # weights
-    centres: Float[Array, " C"]
-    clicked: Float[Array, " N"]
-    places: Float[Array, "3 N"]  # of the clicked
-    visible: Bool[Array, "C N"]
-    click_variance: Float[Array, ""]  # px^2
-    measured: Float[Array, ""]  # 1 where the weights are 1 / sigma^2 of known places, 0 where nothing was measured
+    light: Float[np.ndarray, " F"]  # weights
+    centres: Float[np.ndarray, " C"]
+    clicked: Float[np.ndarray, " N"]
+    places: Float[np.ndarray, "N 3"]  # of the clicked
+    visible: Bool[np.ndarray, "N C"]
+    click_variance: float  # px^2
+    measured: bool  # whether the weights are 1 / sigma^2 of known places
 
 
 class Adjusted(NamedTuple):
-    """Covariances in the frame that the anchors hold."""
+    """Covariances in the frame that the anchors hold; NaN where nothing determines the rig."""
 
-    cameras: Float[Array, "D D"]  # as `bundle` orders the numbers
-    points: Float[Array, "NB 3 3 B"]
-
-
-def _network(recording: Recording, rig: CameraRig, calibration: Calibration, freedom: Freedom) -> Network:
-    size, count = len(recording.image_sizes), recording.cameras
-    base, numbers = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, SIZE))
-    base[:count] = rig.cameras.cam_from_world.rotation
-    numbers[:count, 3:6] = rig.cameras.cam_from_world.translation
-    numbers[:count, FOCAL:] = known_numbers(rig)
-    free, prior = np.zeros((size, SIZE), bool), np.zeros((size, SIZE))
-    free[:count], prior[:count] = freedom.free[:count], freedom.prior_weight[:count]
-    points, seen = np.zeros((len(recording.visible), 3)), np.zeros(recording.visible.shape, bool)
-    points[: recording.frames] = calibration.points
-    seen[: recording.frames, :count] = calibration.kept & calibration.point_valid[:, None]
-    blocks = jnp.asarray(to_blocks(points)), jnp.asarray(to_blocks(seen))
-    return Network(jnp.asarray(base), jnp.asarray(numbers), *blocks, jnp.asarray(free), jnp.asarray(prior))
+    cameras: Float[np.ndarray, "D D"]  # as `bundle` orders the numbers
+    points: Float[np.ndarray, "F 3 3"]
 
 
-def _inner(recording: Recording, calibration: Calibration) -> Anchoring:
+def _inner(calibration: Calibration) -> Anchoring:
     """Every point of the light and every camera centre, alike."""
-    light = np.zeros(len(recording.visible))
-    light[: recording.frames] = calibration.point_valid
-    return _anchoring(recording, light, recording.exists.astype(float), np.zeros(0), None, 0.0)
+    cameras = len(calibration.rig)
+    nothing = np.zeros(0), np.zeros((0, 3)), np.zeros((0, cameras), bool)
+    return Anchoring(calibration.point_valid.astype(float), np.ones(cameras), *nothing, 0.0, False)
 
 
-def _outer(recording: Recording, calibration: Calibration, anchors: Anchors) -> Anchoring:
+def _outer(calibration: Calibration, anchors: Anchors) -> Anchoring:
     """The known places, weighted as `align_to_landmarks` weights them."""
     known = sum(int(np.isfinite(part).sum()) for part in (anchors.light, anchors.centres, anchors.clicked))
     if known < 3:
         raise InsufficientDataError(
             f"{known} anchors do not hold a frame; it takes three or more that are off one line."
         )
-    light, centres = np.zeros(len(recording.visible)), np.zeros(len(recording.image_sizes))
-    light[: recording.frames] = np.where(calibration.point_valid, anchors.light**-2.0, 0.0)
-    centres[: recording.cameras] = anchors.centres**-2.0
-    return _anchoring(recording, light, centres, anchors.clicked**-2.0, (calibration.rig, anchors), 1.0)
-
-
-def _anchoring(recording, light, centres, clicked, found: tuple[CameraRig, Anchors] | None, measured) -> Anchoring:
-    count, size = len(clicked), len(recording.image_sizes)
-    total = -(-count // MANY) * MANY
-    places, visible = np.zeros((3, total)), np.zeros((size, total), bool)
-    if found is not None and count:
-        rig, anchors = found
-        places[:, :count] = np.asarray(triangulate(rig, anchors.pixels, anchors.visible).points).T
-        visible[: recording.cameras, :count] = anchors.visible.T
-    return Anchoring(
-        jnp.asarray(to_blocks(light)),
-        jnp.asarray(centres),
-        jnp.asarray(np.pad(clicked, (0, total - count))),
-        jnp.asarray(places),
-        jnp.asarray(visible),
-        jnp.asarray(0.0 if found is None else found[1].click_sigma_px ** 2),
-        jnp.asarray(measured),
-    )
-
-
-def _perturbed_by_numbers(rig: CameraRig) -> Float[np.ndarray, "D D"]:
-    """From the numbers of `bundle` to those of `Camera.perturbed`: log focal, log aspect become fx, fy."""
-    focal = np.asarray(rig.cameras.focal)
-    jacobian = np.tile(np.eye(PARAMETERS), (len(focal), 1, 1))
-    jacobian[:, FOCAL : CENTER.start, FOCAL : CENTER.start] = np.stack(
-        [np.stack([focal[:, 0], focal[:, 0]], axis=1), np.stack([focal[:, 1], np.zeros(len(focal))], axis=1)], axis=1
-    )
-    whole = np.zeros((len(focal), PARAMETERS, len(focal), PARAMETERS))
-    each = np.arange(len(focal))
-    whole[each, :, each] = jacobian
-    return whole.reshape(PARAMETERS * len(focal), -1)
+    places = np.zeros((0, 3))
+    if len(anchors.clicked):
+        places = np.asarray(triangulate(calibration.rig, anchors.pixels, anchors.visible).points)
+    light = np.where(calibration.point_valid, anchors.light**-2.0, 0.0)
+    weights = light, anchors.centres**-2.0, anchors.clicked**-2.0
+    return Anchoring(*weights, places, anchors.visible, anchors.click_sigma_px**2, True)
 
 
 class _Eliminated(NamedTuple):
     """Points as the cameras move them: error of a point = `moved` times that of the cameras + own error."""
 
-    cross: Float[Array, "B 3 D"]  # J_x^T J_c
-    moved: Float[Array, "B 3 D"]
-    own: Float[Array, "B 3 3"]  # covariance of the own error for pixels of variance 1
-    cameras: Float[Array, "C 15 15"]  # sum of J_c^T J_c
+    cross: Float[np.ndarray, "B 3 D"]  # J_x^T J_c
+    moved: Float[np.ndarray, "B 3 D"]
+    own: Float[np.ndarray, "B 3 3"]  # covariance of the own error for pixels of variance 1
+    cameras: Float[np.ndarray, "C 15 15"]  # sum of J_c^T J_c
 
 
-def _eliminated(network: Network, points: Float[Array, "3 B"], seen: Bool[Array, "C B"]) -> _Eliminated:
-    """A block of points, and what the cameras that see them say."""
-    state = MODEL.state(network.numbers, network.base)
-    nowhere = jnp.zeros(2, points.dtype)
-    over_points = jax.vmap(lambda camera, point: MODEL.columns(camera, point, nowhere), (None, -1), -1)
-    _, for_camera, for_point = jax.vmap(over_points, in_axes=(0, None))(state, points)
-    by_camera = jnp.stack([jnp.stack(row) for row in for_camera])  # (2, 15, C, B)
-    by_camera = jnp.where(seen[None, None] & network.free.T[None, :, :, None], by_camera, 0.0)
-    by_point = jnp.where(seen[None, None], jnp.stack([jnp.stack(row) for row in for_point]), 0.0)
-    normal = jnp.einsum("ricb,rjcb->ijb", by_point, by_point)
-    inverse = symmetric_full(symmetric_inverse((*normal[0], normal[1, 1], normal[1, 2], normal[2, 2])))
-    own = jnp.where(seen.sum(axis=0)[:, None, None] >= 2, inverse, 0.0)
-    cross = jnp.einsum("ricb,rpcb->bicp", by_point, by_camera).reshape(points.shape[1], 3, -1)
-    return _Eliminated(
-        cross, -jnp.einsum("bij,bjd->bid", own, cross), own, jnp.einsum("rpcb,rqcb->cpq", by_camera, by_camera)
-    )
+def _eliminated(
+    rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"], free: Bool[np.ndarray, "C 15"]
+) -> _Eliminated:
+    """Some points, and what the cameras that see them say."""
+    by_camera, by_point = derivatives(rig, points, seen)
+    by_camera = np.where(free[:, None, :], by_camera, 0.0)
+    own = covariance_of_points(by_point, seen)
+    cross = (np.swapaxes(by_point, 2, 3) @ by_camera).transpose(0, 2, 1, 3).reshape(len(points), 3, -1)
+    per_camera = by_camera.transpose(1, 0, 2, 3).reshape(len(free), -1, SIZE)
+    return _Eliminated(cross, -own @ cross, own, np.swapaxes(per_camera, 1, 2) @ per_camera)
 
 
 class _Gauge(NamedTuple):
     """Sums over anchors: u = `of_cameras` times the cameras' error + own errors of covariance `own`."""
 
-    of_cameras: Float[Array, "7 D"]
-    own: Float[Array, "7 7"]
-    normal: Float[Array, "7 7"]
+    of_cameras: Float[np.ndarray, "7 D"]
+    own: Float[np.ndarray, "7 7"]
+    normal: Float[np.ndarray, "7 7"]
+
+    def __add__(self, other: _Gauge) -> _Gauge:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return _Gauge(*(mine + its for mine, its in zip(self, other)))
 
 
-def _anchor_sums(parts: _Eliminated, points: Float[Array, "3 B"], weights: Float[Array, " B"], variance) -> _Gauge:
-    """The share of a block of points in u; `variance` (px^2) is that of the pixels from which they come."""
-    ways = jax.vmap(_point_ways, in_axes=-1)(points)
+def _anchor_sums(parts: _Eliminated, points: np.ndarray, weights: np.ndarray, variance: float) -> _Gauge:
+    """The share of some points in u; `variance` (px^2) is that of the pixels from which they come."""
+    ways = point_ways(points)
     pull = weights[:, None, None] * ways
+    turned = np.swapaxes(pull, 1, 2)
     return _Gauge(
-        jnp.einsum("bik,bid->kd", pull, parts.moved),
-        variance * jnp.einsum("bik,bij,bjl->kl", pull, parts.own, pull),
-        jnp.einsum("bik,bil->kl", pull, ways),
+        pull.reshape(-1, FREEDOMS).T @ parts.moved.reshape(-1, parts.moved.shape[2]),
+        variance * (turned @ parts.own @ pull).sum(axis=0),
+        (turned @ ways).sum(axis=0),
     )
 
 
-def _point_ways(point: Float[Array, "3"]) -> Float[Array, "3 7"]:
-    """How the seven freedoms of a similarity move a point."""
-    return jnp.concatenate([jnp.eye(3, dtype=point.dtype), -so3.skew(point), point[:, None]], axis=1)
+def point_ways(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
+    """How the seven freedoms of a similarity move points: translation, rotation vector, log scale."""
+    ways = np.zeros((len(points), 3, FREEDOMS))
+    ways[:, :, :3], ways[:, :, 3:6], ways[:, :, 6] = np.eye(3), -_skews(points), points
+    return ways
 
 
-def _camera_ways(base: Float[Array, "3 3"], numbers: Float[Array, "15"]) -> Float[Array, "15 7"]:
-    """How they move a camera's numbers so that no pixel changes: w = -R phi, dt = t scale - R shift."""
-    ways = jnp.zeros((SIZE, FREEDOMS), base.dtype)
-    return ways.at[:3, 3:6].set(-base).at[3:6, :3].set(-base).at[3:6, 6].set(numbers[3:6])
+def camera_ways(rig: CameraRig) -> Float[np.ndarray, "C 15 7"]:
+    """How they move the cameras' numbers so that no pixel changes: w = -R phi, dt = t scale - R shift."""
+    rotation, translation = poses(rig)
+    ways = np.zeros((len(rig), PARAMETERS, FREEDOMS))
+    ways[:, :3, 3:6], ways[:, 3:6, :3], ways[:, 3:6, 6] = -rotation, -rotation, translation
+    return ways
 
 
-def _centre_by_pose(base: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Float[Array, "3 6"]:
+def centres_by_numbers(rig: CameraRig) -> Float[np.ndarray, "C 3 15"]:
     """The centre is -R^T t: its change with w and dt is -R^T (dt + t x w)."""
-    return jnp.concatenate([-base.T @ so3.skew(translation), -base.T], axis=1)
+    rotation, translation = poses(rig)
+    back = -np.swapaxes(rotation, 1, 2)
+    return np.concatenate([back @ _skews(translation), back, np.zeros((len(rig), 3, PARAMETERS - 6))], axis=2)
 
 
-def _centre_by_numbers(camera: Camera) -> Float[Array, "3 15"]:
-    pose = camera.cam_from_world
-    return jnp.pad(_centre_by_pose(pose.rotation, pose.translation), ((0, 0), (0, PARAMETERS - 6)))
+def _skews(vectors: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 3"]:
+    return -np.cross(vectors[:, None, :], np.eye(3)[None])
 
 
-@jit
-def _adjusted(network: Network, anchoring: Anchoring, variance: Float[Array, ""]) -> Adjusted:
+def _adjusted(calibration: Calibration, freedom: Freedom, anchoring: Anchoring, variance: float) -> Adjusted:
     """Two passes over the points: one for the cameras and the frame, one for the points' own covariances."""
-    count = network.numbers.shape[0]
-    ways = jax.vmap(_camera_ways)(network.base, network.numbers).reshape(count * SIZE, FREEDOMS)
-    own_blocks, taken, gauge = _sums(network, anchoring, variance)
-    loose = variance * _any_frame(own_blocks, taken, network, ways)
-    hold = jnp.linalg.inv(gauge.normal)
+    rig, free, points = calibration.rig, freedom.free, calibration.points
+    seen = calibration.kept & calibration.point_valid[:, None]
+    nothing = np.full((free.size, free.size), np.nan), np.full((len(points), 3, 3), np.nan)
+    own_blocks, taken, gauge = _sums(calibration, freedom, seen, anchoring, variance)
+    ways = camera_ways(rig).reshape(-1, FREEDOMS)
+    try:
+        loose = variance * _any_frame(own_blocks, taken, freedom, ways)
+        hold = np.linalg.inv(gauge.normal)
+    except np.linalg.LinAlgError:
+        return Adjusted(*nothing)
     own = gauge.own + anchoring.measured * gauge.normal
     with_u = loose @ gauge.of_cameras.T  # (D, 7)
-    of_u = gauge.of_cameras @ with_u + own
-    back = hold @ of_u @ hold
-
-    def point_block(block) -> Float[Array, "3 3 B"]:
-        points, seen, weights = block
-        parts = _eliminated(network, points, seen)
-        ways = jax.vmap(_point_ways, in_axes=-1)(points)
+    back = hold @ (gauge.of_cameras @ with_u + own) @ hold
+    found = np.zeros((len(points), 3, 3))
+    for some in _blocks(len(points)):
+        parts = _eliminated(rig, points[some], seen[some], free)
         inner = variance * parts.own
-        spread = (parts.moved.reshape(-1, parts.moved.shape[2]) @ loose).reshape(parts.moved.shape)
-        plain = jnp.einsum("bid,bjd->bij", spread, parts.moved) + inner
-        link = parts.moved @ with_u + weights[:, None, None] * (inner @ ways)
-        return _held(plain, link, ways, hold, back).transpose(1, 2, 0)
-
-    blocks = (network.points, network.seen, anchoring.light)
-    return Adjusted(_held(loose, with_u, ways, hold, back), jax.lax.map(point_block, blocks))
+        moved, by_frame = parts.moved, point_ways(points[some])
+        spread = (moved.reshape(-1, len(loose)) @ loose).reshape(moved.shape)
+        link = moved @ with_u + anchoring.light[some, None, None] * (inner @ by_frame)
+        found[some] = _held(spread @ np.swapaxes(moved, 1, 2) + inner, link, by_frame, hold, back)
+    found = np.where(calibration.point_valid[:, None, None], found, 0.0)
+    return Adjusted(_held(loose, with_u, ways, hold, back), found)
 
 
 def _held(plain, link, ways, hold, back):
     """Covariance of d - G K u from those of d, of d with u, and K Cov(u) K."""
-    turned = jnp.swapaxes(ways, -1, -2)
+    turned = np.swapaxes(ways, -1, -2)
     mixed = (link @ hold) @ turned
-    return plain - mixed - jnp.swapaxes(mixed, -1, -2) + (ways @ back) @ turned
+    return plain - mixed - np.swapaxes(mixed, -1, -2) + (ways @ back) @ turned
 
 
-def _sums(network: Network, anchoring: Anchoring, variance) -> tuple[Array, Array, _Gauge]:
+def _sums(
+    calibration: Calibration, freedom: Freedom, seen: Bool[np.ndarray, "F C"], anchoring: Anchoring, variance: float
+) -> tuple[np.ndarray, np.ndarray, _Gauge]:
     """Camera blocks (C, 15, 15), what eliminating the points takes from them (D, D), and the sums over anchors."""
-
-    def add(total, block):
-        points, seen, weights = block
-        parts = _eliminated(network, points, seen)
-        size = parts.cross.shape[2]
-        taken = parts.cross.reshape(-1, size).T @ parts.moved.reshape(-1, size)
-        new = (parts.cameras, taken, _anchor_sums(parts, points, weights, variance))
-        return jax.tree.map(jnp.add, total, new), None
-
-    count = network.numbers.shape[0]
-    size, dtype = count * SIZE, network.numbers.dtype
-    start = (jnp.zeros((count, SIZE, SIZE), dtype), jnp.zeros((size, size), dtype), _centre_sums(network, anchoring))
-    if anchoring.clicked.shape[0]:
-        parts = _eliminated(network, anchoring.places, anchoring.visible)
-        clicked = _anchor_sums(parts, anchoring.places, anchoring.clicked, anchoring.click_variance)
-        start = (*start[:2], jax.tree.map(jnp.add, start[2], clicked))
-    blocks = (network.points, network.seen, anchoring.light)
-    return jax.lax.scan(add, start, blocks)[0]
+    rig, free, points = calibration.rig, freedom.free, calibration.points
+    own_blocks, taken = np.zeros((len(rig), SIZE, SIZE)), np.zeros((free.size, free.size))
+    gauge = _centre_sums(rig, free, anchoring)
+    if len(anchoring.clicked):
+        parts = _eliminated(rig, anchoring.places, anchoring.visible, free)
+        gauge += _anchor_sums(parts, anchoring.places, anchoring.clicked, anchoring.click_variance)
+    for some in _blocks(len(points)):
+        parts = _eliminated(rig, points[some], seen[some], free)
+        own_blocks += parts.cameras
+        taken += parts.cross.reshape(-1, free.size).T @ parts.moved.reshape(-1, free.size)
+        gauge += _anchor_sums(parts, points[some], anchoring.light[some], variance)
+    return own_blocks, taken, gauge
 
 
-def _centre_sums(network: Network, anchoring: Anchoring) -> _Gauge:
+def _blocks(count: int) -> list[slice]:
+    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+
+
+def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C 15"], anchoring: Anchoring) -> _Gauge:
     """The share of the camera centres in u; their error is the cameras' alone."""
-
-    def one(base, numbers, weight):
-        by_pose = _centre_by_pose(base, numbers[3:6])
-        ways = _point_ways(-base.T @ numbers[3:6])
-        of_pose = weight * (ways.T @ by_pose)
-        return jnp.pad(of_pose, ((0, 0), (0, SIZE - 6))), weight * (ways.T @ ways)
-
-    of_cameras, normal = jax.vmap(one)(network.base, network.numbers, anchoring.centres)
-    of_cameras = jnp.where(network.free[:, None], of_cameras, 0.0)
-    return _Gauge(of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), jnp.zeros_like(normal[0]), normal.sum(axis=0))
+    weights = anchoring.centres[:, None, None]
+    ways = point_ways(np.asarray(rig.positions))
+    turned = weights * np.swapaxes(ways, 1, 2)
+    of_cameras = np.where(free[:, None, :], turned @ centres_by_numbers(rig), 0.0)
+    normal = (turned @ ways).sum(axis=0)
+    return _Gauge(of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), np.zeros_like(normal), normal)
 
 
-def _any_frame(own_blocks, taken, network: Network, ways: Float[Array, "D 7"]) -> Float[Array, "D D"]:
-    """A covariance of the cameras, for pixels of variance 1, in some frame: an inverse but for the seven freedoms."""
-    count = own_blocks.shape[0]
-    prior = jnp.where(network.free, network.prior, 0.0)
-    diagonal = jnp.diagonal(own_blocks, axis1=1, axis2=2) + prior
-    held = (diagonal <= 0).reshape(-1)
-    scale = jnp.sqrt(jnp.where(held, 1.0, diagonal.reshape(-1)))
-    each = jnp.arange(count)
-    matrix = taken.reshape(count, SIZE, count, SIZE).at[each, :, each].add(own_blocks)
-    matrix = matrix.reshape(scale.shape[0], -1) + jnp.diag(prior.reshape(-1))
-    matrix = matrix / (scale[:, None] * scale[None, :]) + jnp.diag(held.astype(scale.dtype))
-    open_ways, _ = jnp.linalg.qr(jnp.where(held[:, None], 0.0, ways * scale[:, None]))
-    root = jax.scipy.linalg.cho_factor(matrix + open_ways @ open_ways.T)
-    inverse = jax.scipy.linalg.cho_solve(root, jnp.eye(scale.shape[0], dtype=scale.dtype))
-    inverse = jnp.where(held[:, None] | held[None, :], 0.0, inverse)
-    return inverse / (scale[:, None] * scale[None, :])
+def _any_frame(own_blocks, taken, freedom: Freedom, ways: Float[np.ndarray, "D 7"]) -> Float[np.ndarray, "D D"]:
+    """A covariance of the cameras, for pixels of variance 1, in some frame: an inverse but for the seven freedoms.
+
+    Raises:
+        LinAlgError: more than these is open.
+    """
+    prior = np.where(freedom.free, freedom.prior_weight, 0.0)
+    diagonal = np.diagonal(own_blocks, axis1=1, axis2=2) + prior
+    held = (diagonal <= 0).ravel()
+    scale = np.sqrt(np.where(held, 1.0, diagonal.ravel()))
+    matrix = taken + block_diag(*own_blocks) + np.diag(prior.ravel())
+    matrix = matrix / np.outer(scale, scale) + np.diag(held.astype(float))
+    open_ways, _ = np.linalg.qr(np.where(held[:, None], 0.0, ways * scale[:, None]))
+    root = cho_factor(matrix + open_ways @ open_ways.T, check_finite=False)
+    inverse = cho_solve(root, np.eye(len(scale)), check_finite=False)
+    return np.where(held[:, None] | held[None, :], 0.0, inverse) / np.outer(scale, scale)
