@@ -22,6 +22,12 @@ def poses(rig: CameraRig) -> tuple[Float[np.ndarray, "C 3 3"], Float[np.ndarray,
     return np.asarray(pose.rotation), np.asarray(pose.translation)
 
 
+def centres(rig: CameraRig) -> Float[np.ndarray, "C 3"]:
+    """Of the cameras, in the world."""
+    rotation, translation = poses(rig)
+    return -np.einsum("cji,cj->ci", rotation, translation)
+
+
 def derivatives(
     rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
 ) -> tuple[Float[np.ndarray, "B C 2 15"], Float[np.ndarray, "B C 2 3"]]:

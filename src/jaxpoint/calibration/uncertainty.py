@@ -31,7 +31,7 @@ from scipy.special import exp1
 from jaxpoint.calibration.bundle import SIZE
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.sight import covariance_of_points, derivatives, perturbed_by_numbers, poses
+from jaxpoint.calibration.sight import centres, covariance_of_points, derivatives, perturbed_by_numbers, poses
 from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
@@ -368,7 +368,7 @@ def _blocks(count: int) -> list[slice]:
 def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C 15"], anchoring: Anchoring) -> _Gauge:
     """The share of the camera centres in u; their error is the cameras' alone."""
     weights = anchoring.centres[:, None, None]
-    ways = point_ways(np.asarray(rig.positions))
+    ways = point_ways(centres(rig))
     turned = weights * np.swapaxes(ways, 1, 2)
     of_cameras = np.where(free[:, None, :], turned @ centres_by_numbers(rig), 0.0)
     normal = (turned @ ways).sum(axis=0)

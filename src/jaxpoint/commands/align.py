@@ -14,7 +14,6 @@ from jaxpoint.config import AlignSettings, RoomConfig
 from jaxpoint.errors import UsageError
 
 if TYPE_CHECKING:
-    from jaxpoint.calibration.alignment import Alignment
     from jaxpoint.calibration.result import Calibration
 
 
@@ -40,17 +39,15 @@ class Align(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Align, and write a new run beside the old one."""
-        from jaxpoint.calibration.alignment import apply_alignment
         from jaxpoint.commands.written import written
         from jaxpoint.runs import check_out, read_run
 
         out = self.needed_out("runs/room-m")
         check_out(out, self.force)
         run = read_run(self.run_folder)
-        alignment = alignment_of(run.calibration, self.settings)
         given = (self.settings.landmarks, self.settings.landmark_pixels, self.settings.camera_centres)
         return written(
-            apply_alignment(run.calibration, alignment),
+            aligned(run.calibration, self.settings),
             out,
             replace(run.config, align=self.settings),
             sources=[run.folder / "calibration.json", *(path for path in given if path is not None)],
@@ -59,8 +56,8 @@ class Align(SeededOptions):
         )
 
 
-def alignment_of(calibration: Calibration, settings: AlignSettings) -> Alignment:
-    """The alignment that the settings ask for.
+def aligned(calibration: Calibration, settings: AlignSettings) -> Calibration:
+    """The calibration in the room, aligned as the settings ask, with its covariance there.
 
     Raises:
         UsageError: none or more than one kind of knowledge is given.
@@ -68,8 +65,9 @@ def alignment_of(calibration: Calibration, settings: AlignSettings) -> Alignment
         InsufficientDataError: a point cannot be placed, or the points do not determine the room.
     """
     from jaxpoint.calibration.alignment import align_to_camera_centres, align_to_floor, align_to_landmarks
+    from jaxpoint.calibration.covariance import aligned_with_covariance
     from jaxpoint.io.known import read_camera_centres, read_landmark_pixels, read_landmarks
-    from jaxpoint.landmarks import locate
+    from jaxpoint.landmarks import CLICK_SIGMA_PX, locate
 
     kinds = [settings.landmarks is not None, settings.camera_centres is not None, bool(settings.floor)]
     if sum(kinds) != 1:
@@ -77,21 +75,25 @@ def alignment_of(calibration: Calibration, settings: AlignSettings) -> Alignment
     cameras = calibration.rig.names
     clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, cameras)
     warnings: tuple[str, ...] = ()
+    sigmas = None
     centres, _ = locate(calibration, cameras)
     if settings.landmarks is not None:
         known = read_landmarks(settings.landmarks)
         points, warnings = locate(calibration, known.names, clicks)
-        found = align_to_landmarks(points, known.points, known.sigmas, names=known.names, camera_centres=centres)
+        sigmas = known.sigmas
+        found = align_to_landmarks(points, known.points, sigmas, names=known.names, camera_centres=centres)
     elif settings.camera_centres is not None:
         known = read_camera_centres(settings.camera_centres, cameras)
         points, _ = locate(calibration, known.names)
         absent = [name for name in cameras if name not in known.names]
         if absent:
             warnings = (f"'{settings.camera_centres}' does not have {', '.join(absent)}: aligned without.",)
-        found = align_to_camera_centres(points, known.points, known.sigmas, names=known.names)
+        sigmas = known.sigmas
+        found = align_to_camera_centres(points, known.points, sigmas, names=known.names)
     elif settings.length_m is None:
         raise UsageError("--floor needs the distance between its first two points: --length-m METRES.")
     else:
         points, warnings = locate(calibration, settings.floor, clicks)
         found = align_to_floor(points, centres, settings.length_m, names=settings.floor)
-    return replace(found, warnings=(*found.warnings, *warnings))
+    found = replace(found, warnings=(*found.warnings, *warnings))
+    return aligned_with_covariance(calibration, found, sigmas, clicks, CLICK_SIGMA_PX)

@@ -39,6 +39,7 @@ class Calibrate(Options):
 
     def run(self, console: Console) -> Outcome:
         """Solve, write the run, and judge it."""
+        from jaxpoint.calibration.covariance import with_covariance
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.written import written
         from jaxpoint.runs import check_out
@@ -49,12 +50,17 @@ class Calibrate(Options):
         tracks = tracks_from(self.tracks, self.input)
         intrinsics = intrinsics_from(self.input, tracks)
         with console.progress() as progress:
-            calibration = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
+            solved = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
         given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config)
         sources = [path for path in given if path is not None]
         return written(
-            calibration, out, room, sources=sources, detect_seconds=_detect_seconds(self.tracks), force=self.force
+            with_covariance(solved),
+            out,
+            room,
+            sources=sources,
+            detect_seconds=_detect_seconds(self.tracks),
+            force=self.force,
         )
 
 

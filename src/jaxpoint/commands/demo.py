@@ -33,12 +33,13 @@ class Demo(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """The run, with what the truth says about it."""
-        from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
+        from jaxpoint.calibration.alignment import align_to_landmarks
+        from jaxpoint.calibration.covariance import aligned_with_covariance
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.written import written
         from jaxpoint.landmarks import locate
         from jaxpoint.runs import check_out
-        from jaxpoint.simulate.known import known_in
+        from jaxpoint.simulate.known import CLICK_PX, known_in
         from jaxpoint.simulate.rooms import random_room
 
         out = self.needed_out("demo-run")
@@ -50,13 +51,11 @@ class Demo(SeededOptions):
             solved = calibrate(simulated.tracks, settings, progress=progress)
         points, _ = locate(solved, known.landmarks.names, known.clicks)
         centres, _ = locate(solved, solved.rig.names)
-        aligned = apply_alignment(
-            solved,
-            align_to_landmarks(
-                points, known.landmarks.points, known.landmarks.sigmas, names=known.landmarks.names,
-                camera_centres=centres,
-            ),
-        )  # fmt: skip
+        sigmas = known.landmarks.sigmas
+        alignment = align_to_landmarks(
+            points, known.landmarks.points, sigmas, names=known.landmarks.names, camera_centres=centres
+        )
+        aligned = aligned_with_covariance(solved, alignment, sigmas, known.clicks, CLICK_PX)
         outcome = written(aligned, out, replace(self.room, calibrate=settings), force=self.force)
         truth, lines = _against_truth(aligned, known)
         *figures, report = outcome.lines

@@ -11,7 +11,8 @@
                   "distortion": [k1, k2, p1, p2, k3],             OpenCV's order
                   "rotation": [[...], [...], [...]],              x_camera = rotation x_world + translation,
                   "translation": [x, y, z]}, ...],                camera axes x right, y down, z forward
-     "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...]}
+     "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...],
+                                               "gauge": "free" or "landmarks"}
      "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
 
 `covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (that of
@@ -64,6 +65,7 @@ class _CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
 class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
     parameters: list[str]
     matrix: list[list[float]]
+    gauge: str | None = None
 
 
 class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
@@ -82,6 +84,7 @@ class SavedCalibration:
     rig: CameraRig
     unit: str = "m"  # of the translations: "m" or "arbitrary"
     covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
+    gauge: str | None = None  # what holds its frame: "free" or "landmarks"
     provenance: dict[str, Any] = field(default_factory=dict)
 
 
@@ -107,6 +110,7 @@ def write_calibration_json(
     *,
     unit: str = "m",
     covariance: Float[np.ndarray, "D D"] | None = None,
+    gauge: str | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a rig as `calibration.json` (schema: this module's docstring), at once or not at all.
@@ -114,6 +118,7 @@ def write_calibration_json(
     Args:
         unit: of the translations, "m" or "arbitrary".
         covariance: of all camera parameters, D = 15 C, in the order of `CAMERA_PARAMETERS`.
+        gauge: what holds its frame, "free" or "landmarks" (see `calibration.uncertainty`).
         provenance: anything JSON can hold.
 
     Raises:
@@ -123,7 +128,9 @@ def write_calibration_json(
     if covariance is not None and np.shape(covariance) != (size, size):
         raise ValueError(f"The covariance is {np.shape(covariance)}; {len(rig)} cameras need {(size, size)}.")
     _check_finite("covariance", covariance if covariance is not None else 0.0)
-    entry = None if covariance is None else _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist())
+    entry = None
+    if covariance is not None:
+        entry = _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist(), gauge)
     content = _CalibrationFile(
         CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, _entries(rig), entry, dict(provenance or {})
     )
@@ -153,7 +160,9 @@ def read_calibration_json(path: StrPath) -> SavedCalibration:
     for i, camera in enumerate(content.cameras):
         _check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
     rig = _rig(path, content.cameras)
-    return SavedCalibration(rig, content.unit, _covariance(path, content.covariance, len(rig)), content.provenance)
+    entry = content.covariance
+    gauge = None if entry is None else entry.gauge
+    return SavedCalibration(rig, content.unit, _covariance(path, entry, len(rig)), gauge, content.provenance)
 
 
 def _covariance(path: StrPath, entry: _CovarianceEntry | None, cameras: int) -> np.ndarray | None:

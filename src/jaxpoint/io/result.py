@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.calibration.alignment import Alignment
+from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.pose import Similarity
@@ -20,6 +21,7 @@ from jaxpoint.io.tracks import load_tracks, save_tracks
 
 VERSION = 1
 ARRAYS = ("points", "point_valid", "residuals", "verdicts")
+FREEDOM = ("free", "prior_mean", "prior_weight")  # fields of `Freedom`
 
 
 def save_result(folder: Path, calibration: Calibration, provenance: dict[str, Any]) -> None:
@@ -29,6 +31,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         calibration.rig,
         unit=calibration.unit,
         covariance=calibration.camera_covariance,
+        gauge=calibration.gauge,
         provenance=provenance,
     )
     save_tracks(folder / "tracks.npz", calibration.tracks)
@@ -39,12 +42,16 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         "message": calibration.message,
         "seconds": calibration.seconds,
         "seed": calibration.seed,
+        "loss_scale": calibration.loss_scale,
+        "undetermined": calibration.undetermined,
         "pairs": asdict(calibration.pairs),
         "stages": [asdict(stage) for stage in calibration.stages],
         "alignment": None if calibration.alignment is None else _alignment_fields(calibration.alignment),
     }
     with replacing(folder / "result.npz") as file:
         arrays = {name: np.asarray(getattr(calibration, name)) for name in ARRAYS}
+        if calibration.freedom is not None:
+            arrays |= {name: getattr(calibration.freedom, name) for name in FREEDOM}
         np.savez_compressed(file, about=np.array(json.dumps(about, default=_plain)), **arrays)  # pyright: ignore[reportArgumentType]
 
 
@@ -61,6 +68,8 @@ def load_result(folder: Path) -> Calibration:
         with path.open("rb") as file:  # np.load itself would leave a damaged file open
             stored = np.load(file, allow_pickle=False)
             arrays = {name: stored[name] for name in ARRAYS}
+            # Runs of earlier days do not have it; `uncertainty_of` says so where it is needed.
+            freedom = Freedom(*(stored[name] for name in FREEDOM)) if set(FREEDOM) <= set(stored.files) else None
             about = json.loads(str(stored["about"]))
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {path}; give the folder of a run of `calibrate`.") from None
@@ -81,7 +90,11 @@ def load_result(folder: Path) -> Calibration:
         unit=saved.unit,
         alignment=None if about["alignment"] is None else _alignment(about["alignment"]),
         camera_covariance=saved.covariance,
+        gauge=saved.gauge,
+        undetermined=about.get("undetermined", ""),
         seed=about["seed"],
+        freedom=freedom,
+        loss_scale=about.get("loss_scale"),
     )
 
 

@@ -18,7 +18,8 @@ from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing
-from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figures_tracks, tables
+from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figures_tracks, figures_uncertainty, tables
+from jaxpoint.report.accuracy import Accuracy, accuracy_of, camera_table, frame_note, on_accuracy, sentence
 from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_tracks
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
@@ -64,10 +65,12 @@ def write_report(
     """
     settings, align_settings = settings or CalibrateSettings(), align_settings or AlignSettings()
     summary = summarise(calibration)
-    advice = _advice(summary, calibration)
+    accuracy = accuracy_of(calibration, summary)
+    advice = [*_advice(summary, calibration), *on_accuracy(accuracy, summary.names)]
     scenes = _scenes(summary, calibration.alignment)
     with style():
         figures = _figures(summary, scenes)
+        accuracy_section = _accuracy(calibration, summary, accuracy)
     seconds = (metrics or {}).get("seconds", calibration.seconds)
     page = _render(
         "calibration.html.j2",
@@ -80,6 +83,7 @@ def write_report(
         advice=advice or [_NO_ADVICE],
         fits=tables.fit_table(summary),
         lenses=tables.lens_table(summary),
+        accuracy=accuracy_section,
         figures=figures,
         rig_caption=_rig_caption(calibration.alignment),
         space_caption=_space_caption(summary.scene),
@@ -187,6 +191,23 @@ def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Mar
     return {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
 
 
+def _accuracy(calibration: Calibration, summary: Summary, found: Accuracy | None) -> dict[str, Any] | None:
+    """What the section on accuracy shows; None where nothing is known of it."""
+    cameras = camera_table(calibration, summary)
+    if cameras is None:
+        return {"missing": calibration.undetermined} if calibration.undetermined else None
+    if found is None:
+        return {"missing": "two cameras nowhere see the same place", "cameras": cameras}
+    figure = figures_uncertainty.error_maps(found, short_names(summary.names))
+    return {
+        "missing": "",
+        "cameras": cameras,
+        "sentence": sentence(found),
+        "frame": frame_note(found),
+        "maps": Markup(to_svg(figure)),
+    }
+
+
 def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, Scene]]:
     """The rig as solved and, once aligned, in the room; alone, the solved one is turned upright to be readable."""
     if alignment is None:
@@ -198,10 +219,11 @@ def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, Sc
 def _sections(calibration: Calibration, sheets: Sheets) -> list[tuple[str, str]]:
     optional = {"alignment": calibration.alignment is not None, "stages": bool(calibration.stages)}
     optional["detections"] = len(sheets) > 0
+    optional["accuracy"] = calibration.camera_covariance is not None or bool(calibration.undetermined)
     everything = {
         "verdict": "Verdict", "next": "What to do", "cameras": "Cameras", "rig": "Rig", "coverage": "Coverage",
-        "residuals": "Fit", "lenses": "Lenses", "alignment": "Alignment", "outliers": "Outliers", "stages": "Stages",
-        "detections": "Detections", "provenance": "Provenance",
+        "residuals": "Fit", "accuracy": "Accuracy", "lenses": "Lenses", "alignment": "Alignment",
+        "outliers": "Outliers", "stages": "Stages", "detections": "Detections", "provenance": "Provenance",
     }  # fmt: skip
     return [(name, text) for name, text in everything.items() if optional.get(name, True)]
 

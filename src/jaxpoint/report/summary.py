@@ -45,8 +45,8 @@ class Scene:
             unit,
         )
 
-    def upright(self) -> Scene:
-        """The scene turned so that z is up as most cameras see it and x is the longest level way."""
+    def levelling(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+        """Rotation and translation after which z is up as most cameras see it and x is the longest level way."""
         up = -self.world_from_cam[:, :, 1].sum(axis=0)
         up /= np.linalg.norm(up)
         level = np.eye(3) - np.outer(up, up)
@@ -54,7 +54,11 @@ class Scene:
         spread = level @ np.cov(everything.T) @ level
         x = np.linalg.eigh(spread)[1][:, -1]
         rotation = np.stack([x, np.cross(up, x), up])
-        return self.moved(1.0, rotation, -rotation @ np.median(everything, axis=0), self.unit)
+        return rotation, -rotation @ np.median(everything, axis=0)
+
+    def upright(self) -> Scene:
+        """The scene turned so."""
+        return self.moved(1.0, *self.levelling(), self.unit)
 
 
 @dataclass(frozen=True)
