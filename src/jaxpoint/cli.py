@@ -26,13 +26,14 @@ from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.demo import Demo
 from jaxpoint.commands.detect import Detect
+from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
 from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, checked, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
-Command = Detect | Check | Calibrate | Align | Validate | Doctor | Demo
+Command = Detect | Check | Calibrate | Align | Validate | Diff | Doctor | Demo
 COMMANDS = get_args(Command)
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 

@@ -223,7 +223,7 @@ def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibrati
         if covariance is not None:
             size = PARAMETERS * len(rig)
             if covariance.shape == (size, size):
-                covariance = _transformed_covariance(covariance, rig, similarity)
+                covariance = transformed_covariance(covariance, rig, similarity)
             else:
                 reason = f"The camera covariance is {covariance.shape}, not {(size, size)}; it was dropped."
                 covariance, alignment = None, replace(alignment, warnings=(*alignment.warnings, reason))
@@ -237,7 +237,7 @@ def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibrati
     )
 
 
-def _transformed_covariance(
+def transformed_covariance(
     covariance: Float[np.ndarray, "D D"], aligned: CameraRig, similarity: Similarity
 ) -> Float[np.ndarray, "D D"]:
     """With R = exp(w) R0 the room's t' = s t - exp(w) R0' t_S changes by s dt + [R0' t_S]x w; w and the lens stay."""

@@ -51,10 +51,10 @@ def expected_error(
         sigma_px: standard deviation of one pixel coordinate of the places' own observations.
     """
     seen = in_view(rig, places)
-    parts = [_moved(rig, places[some], seen[some]) for some in _blocks(len(places))]
+    parts = [moved_by_cameras(rig, places[some], seen[some]) for some in _blocks(len(places))]
     calibration = [_trace(moved, covariance) for moved, _ in parts]
     observation = [sigma_px**2 * np.trace(own, axis1=1, axis2=2) for _, own in parts]
-    return ExpectedError(seen, np.concatenate(calibration), np.concatenate(observation), _parallax(rig, places, seen))
+    return ExpectedError(seen, np.concatenate(calibration), np.concatenate(observation), parallax(rig, places, seen))
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def gains(
     places, before = places[now.known], now.total[now.known]
     if not len(places):
         return []
-    moved = np.concatenate([_moved(rig, places[b], now.seen[now.known][b])[0] for b in _blocks(len(places))])
+    moved = np.concatenate([moved_by_cameras(rig, places[b], now.seen[now.known][b])[0] for b in _blocks(len(places))])
     flat, found = moved.reshape(-1, len(covariance)), []
     for part, light in enumerate(parts):
         seen = in_view(rig, light)
@@ -148,7 +148,9 @@ def eighths(boxes: Float[np.ndarray, "N 2 3"]) -> Float[np.ndarray, "N 8 3"]:
     return boxes[:, :1] + corners * (boxes[:, 1:] - boxes[:, :1])
 
 
-def _moved(rig: CameraRig, places: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def moved_by_cameras(
+    rig: CameraRig, places: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
+) -> tuple[Float[np.ndarray, "B 3 D"], Float[np.ndarray, "B 3 3"]]:
     """Derivatives of triangulated places by the cameras' numbers (B, 3, D), and their covariance for pixels of 1."""
     by_camera, by_point = derivatives_perturbed(rig, places, seen)
     own = covariance_of_points(by_point, seen)
@@ -161,8 +163,10 @@ def _trace(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     return ((flat @ covariance) * flat).sum(axis=1).reshape(-1, 3).sum(axis=1)
 
 
-def _parallax(rig: CameraRig, places: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """As `triangulate` has it: the angle between lines of sight, 0 to pi / 2."""
+def parallax(
+    rig: CameraRig, places: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
+) -> Float[np.ndarray, " B"]:
+    """The largest angle between two lines of sight, rad, 0 to pi / 2, as `triangulate` has it."""
     sight = places[:, None] - centres(rig)
     sight /= np.maximum(np.linalg.norm(sight, axis=-1, keepdims=True), 1e-12)
     cosine = np.abs(sight @ np.swapaxes(sight, 1, 2))

@@ -145,11 +145,11 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
     return Table(["Camera", *header], rows)
 
 
-def with_sigmas(values: Sequence[float], sigmas: Sequence[float]) -> str:
-    """Numbers with one standard deviation each, to its second digit; held zeros are left out."""
+def with_sigmas(values: Float[np.ndarray, " N"], sigmas: Float[np.ndarray, " M"]) -> str:
+    """Numbers with one standard deviation each (M >= N), to its second digit; held zeros are left out."""
     return ", ".join(
         f"{value:.{_digits(sigma)}f} ± {sigma:.{_digits(sigma)}f}" if sigma > 0 else f"{value:.4g} (held)"
-        for value, sigma in zip(values, sigmas)
+        for value, sigma in zip(values, sigmas, strict=False)
         if sigma > 0 or value != 0
     )
 

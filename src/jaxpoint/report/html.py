@@ -72,7 +72,7 @@ def write_report(
         figures = _figures(summary, scenes)
         accuracy_section = _accuracy(calibration, summary, accuracy)
     seconds = (metrics or {}).get("seconds", calibration.seconds)
-    page = _render(
+    page = render(
         "calibration.html.j2",
         kind="jaxpoint calibration report",
         title=title,
@@ -98,7 +98,7 @@ def write_report(
         config_text=config_text,
         rig_data=_rig_data(scenes, summary),
     )
-    _write(path, page)
+    write_page(path, page)
 
 
 def write_tracks_report(
@@ -130,7 +130,7 @@ def write_tracks_report(
         timeline = figures_tracks.timeline(names, tracks.visible, tracks.frame_ids)
         figures = {"coverage": Markup(to_svg(coverage)), "timeline": Markup(to_svg(timeline))}
     views = tracks.visible.sum(axis=1)
-    page = _render(
+    page = render(
         "tracks.html.j2",
         kind="jaxpoint check",
         title=title,
@@ -156,7 +156,7 @@ def write_tracks_report(
         provenance=tables.origin_table(provenance, {}, None),
         config_text=config_text,
     )  # fmt: skip
-    _write(path, page)
+    write_page(path, page)
 
 
 def write_detection_section(path: StrPath, sheets: Sheets, *, title: str = "Detections") -> None:
@@ -165,10 +165,10 @@ def write_detection_section(path: StrPath, sheets: Sheets, *, title: str = "Dete
     Raises:
         OSError: the folder is missing or not writable.
     """
-    page = _render(
+    page = render(
         "detection.html.j2", kind="jaxpoint detect", title=title, subtitle="", sections=[], sheets=_encoded(sheets)
     )
-    _write(path, page)
+    write_page(path, page)
 
 
 def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Markup]:
@@ -344,7 +344,8 @@ def _encoded(sheets: Sheets) -> list[tuple[str, str]]:
     return [(caption, to_data_uri(image)) for caption, image in sheets]
 
 
-def _render(template: str, **context: Any) -> str:
+def render(template: str, **context: Any) -> str:
+    """A page from its template."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("jaxpoint.report"),
         autoescape=True,
@@ -361,6 +362,7 @@ def _code(text: str) -> Markup:
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
-def _write(path: StrPath, page: str) -> None:
+def write_page(path: StrPath, page: str) -> None:
+    """Write a page, whole or not at all."""
     with replacing(path) as file:
         file.write(page.encode("utf-8"))
