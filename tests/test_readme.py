@@ -20,7 +20,7 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-COMMANDS = sorted(set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|demo) [^`#\n]*", README)))
+COMMANDS = sorted(set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|diff|demo) [^`#\n]*", README)))
 
 
 @pytest.mark.parametrize("line", COMMANDS)
@@ -29,7 +29,15 @@ def test_every_command_is_understood(line):
 
 
 def test_the_commands_were_found():
-    assert {line.split()[1] for line in COMMANDS} >= {"detect", "check", "calibrate", "align", "validate", "demo"}
+    assert {line.split()[1] for line in COMMANDS} >= {
+        "detect",
+        "check",
+        "calibrate",
+        "align",
+        "validate",
+        "diff",
+        "demo",
+    }
 
 
 def test_the_python_example_runs(tmp_path, monkeypatch, solved_room, capsys):

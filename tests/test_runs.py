@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.alignment import align_to_camera_centres, apply_alignment
+from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Verdict
-from jaxpoint.config import CalibrateSettings, RoomConfig
+from jaxpoint.calibration.uncertainty import uncertainty_of
+from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig
 from jaxpoint.errors import FileFormatError, NotConvergedError, QualityError, UsageError
 from jaxpoint.metrics import judge, metrics
 from jaxpoint.runs import Interrupted, new_run, provenance, read_run, write_run
@@ -125,6 +128,35 @@ def test_a_run_is_read_back_as_it_was(run_folder):
     found, wanted = run.calibration.alignment, aligned.alignment
     assert eqx.tree_equal(found.similarity, wanted.similarity, rtol=1e-12, atol=1e-12)
     assert found.leave_one_out_mm == wanted.leave_one_out_mm
+
+
+def test_what_was_free_is_kept_so_that_the_uncertainty_can_be_asked_later(tmp_path, solved_room):
+    calibration = solved_room[1]
+    cameras = calibration.tracks.cameras
+    parts = Freedom.of(Recording.of(calibration.tracks), LensSettings(), "radial2")
+    freedom = Freedom(parts.free[:cameras], parts.prior_mean[:cameras], parts.prior_weight[:cameras])
+    stated = with_covariance(replace(calibration, freedom=freedom, loss_scale=0.6))
+    write_run(tmp_path / "run", stated, RoomConfig(), command="test")
+    again = read_run(tmp_path / "run").calibration
+    assert (again.loss_scale, again.gauge) == (0.6, "free")
+    np.testing.assert_allclose(again.camera_covariance, stated.camera_covariance)
+    asked = uncertainty_of(again)
+    np.testing.assert_allclose(asked.covariance, stated.camera_covariance, rtol=1e-6, atol=1e-12)
+
+
+def test_a_run_of_earlier_days_is_read_and_says_what_it_lacks(tmp_path, run_folder):
+    out = tmp_path / "run"
+    shutil.copytree(run_folder[0], out)
+    with np.load(out / "result.npz") as stored:
+        arrays = dict(stored)
+    about = json.loads(str(arrays.pop("about")))
+    for key in ("loss_scale", "undetermined"):
+        del about[key]
+    np.savez(out / "result.npz", about=np.array(json.dumps(about)), **arrays)
+    found = read_run(out).calibration
+    assert (found.freedom, found.loss_scale) == (None, None)
+    with pytest.raises(UsageError, match="calibrate again"):
+        uncertainty_of(found)
 
 
 def test_a_damaged_run_is_named(tmp_path, run_folder):

@@ -135,7 +135,7 @@ def difference(
         seen = seen & in_view(moved, places)
         useful = _enough(first, places, seen)
         places, seen, pixels = places[useful], seen[useful], pixels[useful]
-        again = np.asarray(triangulate(moved, pixels, seen).points)
+        again = np.asarray(triangulate(moved, pixels, seen, covariance=False).points)
         allowed = None
         if covariances is not None:
             joint = covariances[0] + transformed_covariance(covariances[1], moved, similarity)
@@ -213,7 +213,7 @@ def _start(first: CameraRig, second: CameraRig, places, seen, pixels) -> Similar
     best, least = Similarity.identity(), np.inf
     for left_out in range(-1, len(first) if len(first) > 2 else 0):
         kept = np.arange(len(first)) != left_out
-        found = triangulate(second, pixels, seen & kept)
+        found = triangulate(second, pixels, seen & kept, covariance=False)
         known = np.asarray(found.valid)
         if known.sum() < 3:
             continue

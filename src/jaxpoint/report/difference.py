@@ -58,8 +58,8 @@ def sentences(compared: Compared) -> tuple[str, ...]:
     found, factor = compared.found, compared.factor
     apart = factor * np.linalg.norm(found.moved, axis=1)
     places = (
-        f"The same place comes out {_short(factor * found.points)} {compared.unit} apart (rms over {len(apart)} places), "
-        f"{_short(apart.max())} {compared.unit} at most"
+        f"The same place comes out {_short(factor * found.points)} {compared.unit} apart (rms over {len(apart)} "
+        f"places), {_short(apart.max())} {compared.unit} at most"
     )
     if found.allowed is None:
         return (f"{places}.", *compared.notes)

@@ -1,20 +1,41 @@
-"""Maps of the expected error over the room."""
+"""The report's section on accuracy: maps of the expected error over the room, and the words and table beside them."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from markupsafe import Markup
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from jaxpoint.report.accuracy import Accuracy, Plane
-from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.report.accuracy import Accuracy, Plane, camera_table, frame_note, sentence
+from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors, short_names, to_svg
+from jaxpoint.report.summary import Summary
 
 _STEPS = 8  # of the colour scale, at most
 _COARSE, _FINE = (1, 2, 5), (1, 1.5, 2, 3, 5, 7)
 _NARROW = 10.0  # the fine steps where the errors differ by less than so many times
+
+
+def accuracy_section(calibration: Calibration, summary: Summary, found: Accuracy | None) -> dict[str, Any] | None:
+    """What the template shows; None where nothing is known of the accuracy, `missing` where it is known why."""
+    cameras = camera_table(calibration, summary)
+    if cameras is None:
+        return {"missing": calibration.undetermined, "cameras": None} if calibration.undetermined else None
+    if found is None:
+        return {"missing": "two cameras nowhere see the same place of the light's volume.", "cameras": cameras}
+    return {
+        "missing": "",
+        "cameras": cameras,
+        "sentence": sentence(found),
+        "frame": frame_note(found),
+        "maps": Markup(to_svg(error_maps(found, short_names(summary.names)))),
+    }
 
 
 def error_maps(accuracy: Accuracy, names: tuple[str, ...]) -> Figure:

@@ -19,7 +19,7 @@ from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing
 from jaxpoint.report import figures_lens, figures_residuals, figures_scene, figures_tracks, figures_uncertainty, tables
-from jaxpoint.report.accuracy import Accuracy, accuracy_of, camera_table, frame_note, on_accuracy, sentence
+from jaxpoint.report.accuracy import accuracy_of, on_accuracy
 from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_tracks
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
@@ -70,7 +70,7 @@ def write_report(
     scenes = _scenes(summary, calibration.alignment)
     with style():
         figures = _figures(summary, scenes)
-        accuracy_section = _accuracy(calibration, summary, accuracy)
+        shown = figures_uncertainty.accuracy_section(calibration, summary, accuracy)
     seconds = (metrics or {}).get("seconds", calibration.seconds)
     page = render(
         "calibration.html.j2",
@@ -83,7 +83,7 @@ def write_report(
         advice=advice or [_NO_ADVICE],
         fits=tables.fit_table(summary),
         lenses=tables.lens_table(summary),
-        accuracy=accuracy_section,
+        accuracy=shown,
         figures=figures,
         rig_caption=_rig_caption(calibration.alignment),
         space_caption=_space_caption(summary.scene),
@@ -189,23 +189,6 @@ def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Mar
         "lens": figures_lens.distortion_curves(names, summary.lens),
     }
     return {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
-
-
-def _accuracy(calibration: Calibration, summary: Summary, found: Accuracy | None) -> dict[str, Any] | None:
-    """What the section on accuracy shows; None where nothing is known of it."""
-    cameras = camera_table(calibration, summary)
-    if cameras is None:
-        return {"missing": calibration.undetermined} if calibration.undetermined else None
-    if found is None:
-        return {"missing": "two cameras nowhere see the same place", "cameras": cameras}
-    figure = figures_uncertainty.error_maps(found, short_names(summary.names))
-    return {
-        "missing": "",
-        "cameras": cameras,
-        "sentence": sentence(found),
-        "frame": frame_note(found),
-        "maps": Markup(to_svg(figure)),
-    }
 
 
 def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, Scene]]:
