@@ -37,7 +37,7 @@ Command = Detect | Check | Calibrate | Align | Validate | Diff | Doctor | Demo
 COMMANDS = get_args(Command)
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 
-In this order: detect, check, calibrate, align, validate. Without a recording: jaxpoint demo. More on each command and
+In this order: detect, check, calibrate, align, validate; diff tells later whether a camera moved. Without a recording: jaxpoint demo. More on each command and
 its flags: jaxpoint COMMAND --help
 """
 STYLE = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)

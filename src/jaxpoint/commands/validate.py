@@ -55,7 +55,7 @@ class Validate(SeededOptions):
         if chosen.lengths is not None:
             lengths = _lengths(run, chosen)
             figures["lengths"], failure = _plain(asdict(lengths)), _judge(lengths, chosen.max_mean_mm)
-            lines += _length_lines(lengths)
+            lines += _length_lines(lengths, run.calibration.camera_covariance is not None)
         if chosen.tracks is not None:
             again = _other_recording(run, chosen.tracks)
             figures["tracks"] = _plain(asdict(again))
@@ -122,7 +122,7 @@ def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationD
     return validate_held_out(first.rig, odd), compare_calibrations(first, second)
 
 
-def _length_lines(lengths: LengthValidation) -> tuple[str, ...]:
+def _length_lines(lengths: LengthValidation, cameras_known: bool) -> tuple[str, ...]:
     rows = [
         (name, f"{1e3 * measured:.1f}", f"{1e3 * found:.1f}", f"{error:+.1f}", f"{sigma:.1f}", "" if counted else "no")
         for name, measured, found, error, sigma, counted in zip(
@@ -134,10 +134,11 @@ def _length_lines(lengths: LengthValidation) -> tuple[str, ...]:
             lengths.independent,
         )
     ]
+    noise = "of the clicks and of the cameras" if cameras_known else "of the clicks alone"
     return (
         *table(("length", "measured mm", "found mm", "error mm", "sigma mm", "counted"), rows),
         f"mean error {lengths.mean_mm:.1f} mm, largest {lengths.max_mm:.1f} mm over {lengths.count} lengths; the noise "
-        f"of the clicks alone allows {lengths.expected_mean_mm:.1f} mm",
+        f"{noise} allows {lengths.expected_mean_mm:.1f} mm",
         *lengths.warnings,
     )
 
