@@ -37,8 +37,8 @@ Command = Detect | Check | Calibrate | Align | Validate | Diff | Doctor | Demo
 COMMANDS = get_args(Command)
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 
-In this order: detect, check, calibrate, align, validate; diff tells later whether a camera moved. Without a recording: jaxpoint demo. More on each command and
-its flags: jaxpoint COMMAND --help
+In this order: detect, check, calibrate, align, validate; diff tells later whether a camera was touched. Without a
+recording: jaxpoint demo. More on each command and its flags: jaxpoint COMMAND --help
 """
 STYLE = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 ENVIRONMENT = MissingDependencyError.exit_code
