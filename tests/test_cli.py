@@ -338,6 +338,8 @@ def test_demo_recovers_the_simulated_room(tmp_path, real_report, capsys):
     assert figures["truth"]["outliers_found"] == figures["truth"]["outliers_planted"] > 0
     assert figures["lengths"]["mean_mm"] < 20
     assert Path(figures["report"]).stat().st_size > 100_000
+    kept = json.loads((tmp_path / "run" / "calibration.json").read_text())["covariance"]
+    assert (kept["gauge"], np.shape(kept["matrix"])) == ("landmarks", (90, 90))
 
 
 def test_doctor_examines_this_machine(capsys):

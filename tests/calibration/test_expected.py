@@ -12,10 +12,8 @@ import uncertainty_coverage as coverage
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.expected import boxes_of, eighths, expected_error, gains
-from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.sight import in_view, project
 from jaxpoint.calibration.uncertainty import Anchors, variance_px2
-from jaxpoint.config import LensSettings
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import triangulate
 
@@ -112,18 +110,3 @@ def test_the_predicted_gain_is_the_one_that_more_light_brings(room, stated, plac
         really = 1 - now.total[now.known].mean() / gain.before
         assert gain.fraction == pytest.approx(really, rel=0.15 if scattered else 1e-5)
         assert gain.cameras == tuple(np.flatnonzero(seen[box].mean(axis=0) > 0.5))
-
-
-def test_what_cannot_be_known_is_said(room):
-    nowhere = with_covariance(replace(room.truth(), freedom=None))
-    assert nowhere.camera_covariance is None
-    assert "calibrate again" in nowhere.undetermined
-    apart = room.truth()
-    alone = np.zeros_like(apart.verdicts)
-    verdicts = np.where(apart.tracks.visible & (np.arange(5) < 2) & (np.arange(120)[:, None] < 4), alone, 3)
-    freedom = Freedom.of(Recording.of(apart.tracks), LensSettings(), "radial2")
-    parts = (freedom.free[:5], freedom.prior_mean[:5], np.zeros((5, 15)))
-    few = with_covariance(replace(apart, verdicts=verdicts, freedom=Freedom(*parts)))
-    assert few.camera_covariance is None
-    assert few.gauge is None
-    assert "do not determine the rig" in few.undetermined
