@@ -188,7 +188,7 @@ def variance_px2(calibration: Calibration) -> float:
     much of those.
     """
     variance = calibration.sigma_px**2
-    if calibration.loss_scale is None:
+    if calibration.loss_scale is None or not variance > 0:
         return variance
     q = (calibration.loss_scale / calibration.sigma_px) ** 2 / 2.0
     if q > NO_LOSS:

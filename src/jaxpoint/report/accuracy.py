@@ -56,10 +56,10 @@ class Accuracy:
 def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
     """The expected error on two planes and over the volume of the light, and what more light would change.
 
-    None without a covariance, or where two cameras nowhere see the same place.
+    None without a covariance or noise, or where two cameras nowhere see the same place.
     """
     covariance, aligned = calibration.camera_covariance, summary.scene.unit == "m"
-    if covariance is None or len(summary.scene.points) < 2:
+    if covariance is None or len(summary.scene.points) < 2 or not calibration.sigma_px > 0:
         return None
     turn, shift = (np.eye(3), np.zeros(3)) if aligned else summary.scene.levelling()
     scene, factor = (summary.scene, 1e3) if aligned else (summary.scene.upright(), 1.0)
@@ -79,7 +79,8 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
         found, shape = expected_error(*about, in_rig(grid)), (len(y), len(x))
         planes.append(Plane(title, x, y, found.seen.sum(axis=1).reshape(shape), factor * found.total.reshape(shape)))
     boxes = boxes_of(low, high)
-    better = gains(*about, variance_px2(calibration), places, in_rig(eighths(boxes)))
+    light = eighths(boxes)[:, _of_eight(len(calibration.rig))]
+    better = gains(*about, variance_px2(calibration), places, in_rig(light))
     by_cameras, by_pixels = (part[over.known].mean() for part in (over.calibration, over.observation))
     return Accuracy(
         scene,
@@ -91,6 +92,11 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
         boxes,
         tuple(better),
     )
+
+
+def _of_eight(cameras: int) -> list[int]:
+    """Which of a box's eight positions stand for the light in it: fewer for large rigs, whose work grows with them."""
+    return list(range(8)) if cameras <= 8 else [0, 3, 5, 6] if cameras <= 16 else [0, 7]
 
 
 def _spread(low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "P 3"]:
