@@ -114,7 +114,9 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         notes.append(f"No comparison with the uncertainties is possible: {missing}")
     if set(one.provenance.get("inputs", {}).values()) & set(other.provenance.get("inputs", {}).values()):
         notes.append("Both come from the same input, so their errors are alike: expect less than is allowed.")
-    return Compared(found, "mm" if one.unit == "m" else "units of the first", tuple(notes))
+    if one.unit != "m":
+        notes.append(f"Lengths are in thousandths of the unit of '{first}'; align it to have mm.")
+    return Compared(found, "mm" if one.unit == "m" else "thousandths", tuple(notes))
 
 
 def _uncompared(first: Path, one: SavedCalibration, second: Path, other: SavedCalibration, align: bool) -> str:

@@ -31,7 +31,7 @@ class Plane:
     x: Float[np.ndarray, " X"]  # middles of the cells, scene's unit
     y: Float[np.ndarray, " Y"]
     views: Int[np.ndarray, "Y X"]  # cameras that have the place in view
-    error: Float[np.ndarray, "Y X"]  # infinite where it is not known; mm, or the solver's unit
+    error: Float[np.ndarray, "Y X"]  # infinite where it is not known; mm, or thousandths of the unit
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Accuracy:
 
     scene: Scene  # in the room, or turned upright
     planes: tuple[Plane, ...]
-    mean: float  # expected error over the volume of the light; mm, or the solver's unit
+    mean: float  # expected error over the volume of the light; mm, or thousandths of the unit
     share: float  # of the calibration in its square
     sigma_px: float
     gauge: str
@@ -50,7 +50,7 @@ class Accuracy:
     @property
     def unit(self) -> str:
         """Of errors."""
-        return "mm" if self.scene.unit == "m" else "solver's units"
+        return "mm" if self.scene.unit == "m" else "thousandths of the solver's unit"
 
 
 def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
@@ -62,7 +62,7 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
     if covariance is None or len(summary.scene.points) < 2 or not calibration.sigma_px > 0:
         return None
     turn, shift = (np.eye(3), np.zeros(3)) if aligned else summary.scene.levelling()
-    scene, factor = (summary.scene, 1e3) if aligned else (summary.scene.upright(), 1.0)
+    scene = summary.scene if aligned else summary.scene.upright()
 
     def in_rig(places: np.ndarray) -> np.ndarray:
         return (places - shift) @ turn
@@ -77,7 +77,7 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
     for title, height in _heights(scene):
         x, y, grid = _grid(scene, height)
         found, shape = expected_error(*about, in_rig(grid)), (len(y), len(x))
-        planes.append(Plane(title, x, y, found.seen.sum(axis=1).reshape(shape), factor * found.total.reshape(shape)))
+        planes.append(Plane(title, x, y, found.seen.sum(axis=1).reshape(shape), 1e3 * found.total.reshape(shape)))
     boxes = boxes_of(low, high)
     light = eighths(boxes)[:, _of_eight(len(calibration.rig))]
     better = gains(*about, variance_px2(calibration), places, in_rig(light))
@@ -85,7 +85,7 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
     return Accuracy(
         scene,
         tuple(planes),
-        factor * float(over.total[over.known].mean()),
+        1e3 * float(over.total[over.known].mean()),
         float(by_cameras / (by_cameras + by_pixels)),
         calibration.sigma_px,
         calibration.gauge or "free",
@@ -135,7 +135,7 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
     by_numbers = turn @ centres_by_numbers(calibration.rig)
     places = np.sqrt(np.maximum(np.einsum("cip,cpq,ciq->ci", by_numbers, blocks, by_numbers), 0.0))
     turned = np.rad2deg(np.sqrt((sigma[:, :3] ** 2).sum(axis=1)))
-    factor, unit, digits = (1e3, "mm", 1) if aligned else (1.0, "solver's unit", 4)
+    unit = "mm" if aligned else "thousandths"
     rows = []
     for c, name in enumerate(summary.names):
         square = np.ptp(summary.focal[c]) < 1e-9 * summary.focal[c, 0]
@@ -144,7 +144,7 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
             with_sigmas(summary.focal[c, : 1 if square else 2], sigma[c, 6:8]),
             with_sigmas(summary.center[c], sigma[c, 8:10]),
             with_sigmas(summary.distortion[c], sigma[c, 10:]) or "none",
-            "± " + ", ".join(f"{factor * off:.{digits}f}" for off in places[c]),
+            "± " + ", ".join(f"{1e3 * off:.1f}" for off in places[c]),
             f"± {turned[c]:.3f}°",
         ])  # fmt: skip
     header = ["Focal length", "Principal point", "Distortion", f"Position\nx, y, z, {unit}", "Orientation"]

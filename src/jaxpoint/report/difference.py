@@ -17,32 +17,29 @@ from jaxpoint.report.style import short_names, style, to_svg
 from jaxpoint.report.tables import Table
 from jaxpoint.report.verdict import Judgement
 
+THOUSAND = 1e3  # from the first one's unit to that of lengths
+
 
 @dataclass(frozen=True)
 class Compared:
     """A difference with what a person needs to read it."""
 
     found: Difference
-    unit: str  # of lengths: "mm", or "units of the first"
+    unit: str  # of lengths: "mm", or "thousandths" of the first one's unit
     notes: tuple[str, ...] = ()  # what the comparison cannot say
-
-    @property
-    def factor(self) -> float:
-        """From the first one's unit to that of lengths."""
-        return 1e3 if self.unit == "mm" else 1.0
 
 
 def difference_table(compared: Compared) -> Table:
     """One row a camera: how far apart, and beside it in brackets what the uncertainties allow."""
-    found, allowed, factor = compared.found, compared.found.allowed, compared.factor
-    pixels, places = found.pixels, factor * found.centres
+    found, allowed = compared.found, compared.found.allowed
+    pixels, places = found.pixels, THOUSAND * found.centres
     turned, focal = np.rad2deg(found.rotations), found.focals
     rows = []
     for c, name in enumerate(found.first.names):
         row = [name, f"{pixels[c]:.3f}", f"{places[c]:.3g}", f"{turned[c]:.4f}", f"{focal[c]:+.2f}"]
         if allowed is not None:
             row[2:2] = [f"{allowed.pixels[c]:.3f}"]
-            row[4:4] = [f"{factor * allowed.centres[c]:.3g}"]
+            row[4:4] = [f"{THOUSAND * allowed.centres[c]:.3g}"]
             row.append(f"{allowed.ratio[c]:.2f}" + (" *" if c in allowed.culprits else ""))
         rows.append(row)
     header = ["camera", "pixels px", f"centre {compared.unit}", "rotation deg", "focal px"]
@@ -55,15 +52,15 @@ def difference_table(compared: Compared) -> Table:
 
 def sentences(compared: Compared) -> tuple[str, ...]:
     """What the difference amounts to, and whether chance explains it."""
-    found, factor = compared.found, compared.factor
-    apart = factor * np.linalg.norm(found.moved, axis=1)
+    found = compared.found
+    apart = THOUSAND * np.linalg.norm(found.moved, axis=1)
     places = (
-        f"The same place comes out {_short(factor * found.points)} {compared.unit} apart (rms over {len(apart)} "
+        f"The same place comes out {_short(THOUSAND * found.points)} {compared.unit} apart (rms over {len(apart)} "
         f"places), {_short(apart.max())} {compared.unit} at most"
     )
     if found.allowed is None:
         return (f"{places}.", *compared.notes)
-    places += f"; the uncertainties allow {_short(factor * found.allowed.points)} {compared.unit}."
+    places += f"; the uncertainties allow {_short(THOUSAND * found.allowed.points)} {compared.unit}."
     return (places, _verdict(found.allowed, found.first.names), *compared.notes)
 
 
@@ -92,12 +89,12 @@ def judgement(compared: Compared) -> Judgement:
 
 def figures_of(compared: Compared) -> dict[str, Any]:
     """All that `diff.json` holds."""
-    found, factor, allowed = compared.found, compared.factor, compared.found.allowed
+    found, allowed = compared.found, compared.found.allowed
     cameras = [
         {
             "name": name,
             "pixels_px": _finite(found.pixels[c]),
-            "centre": float(factor * found.centres[c]),
+            "centre": float(THOUSAND * found.centres[c]),
             "rotation_deg": float(np.rad2deg(found.rotations[c])),
             "focal_px": float(found.focals[c]),
         }
@@ -107,8 +104,8 @@ def figures_of(compared: Compared) -> dict[str, Any]:
         "unit": compared.unit,
         "scale": float(found.similarity.scale),
         "places": len(found.places),
-        "points_rms": factor * found.points,
-        "points_max": float(factor * np.linalg.norm(found.moved, axis=1).max()),
+        "points_rms": THOUSAND * found.points,
+        "points_max": float(THOUSAND * np.linalg.norm(found.moved, axis=1).max()),
         "cameras": cameras,
         "consistent": None,
         "notes": list(compared.notes),
@@ -117,11 +114,11 @@ def figures_of(compared: Compared) -> dict[str, Any]:
         return figures
     for c, camera in enumerate(cameras):
         camera["allowed_pixels_px"] = float(allowed.pixels[c])
-        camera["allowed_centre"] = float(factor * allowed.centres[c])
+        camera["allowed_centre"] = float(THOUSAND * allowed.centres[c])
         camera["ratio"] = float(allowed.ratio[c])
     return figures | {
         "consistent": allowed.consistent,
-        "allowed_points_rms": factor * allowed.points,
+        "allowed_points_rms": THOUSAND * allowed.points,
         "ratio": allowed.ratio_all,
         "chance": allowed.chance_all,
         "freedoms": allowed.freedoms,

@@ -80,8 +80,7 @@ def shift_maps(found: Difference, names: tuple[str, ...]) -> tuple[Figure, float
 
 def room_map(found: Difference, names: tuple[str, ...], unit: str) -> Figure:
     """Floor plan and side view: the places, coloured by how far apart both calibrations triangulate them."""
-    factor = 1e3 if unit == "mm" else 1.0
-    apart = factor * np.linalg.norm(found.moved, axis=1)
+    apart = 1e3 * np.linalg.norm(found.moved, axis=1)
     top = max(float(np.quantile(apart, 0.95)), 1e-9)
     low, high = (end(np.concatenate([found.places, centres(found.first)]), axis=0) for end in (np.min, np.max))
     width = (PAGE - 1.9) / 2
@@ -90,7 +89,8 @@ def room_map(found: Difference, names: tuple[str, ...], unit: str) -> Figure:
         figsize=(PAGE, float(np.clip(width * max(span[1], span[2]) / span[0] + 0.8, 3.0, 8.0))), layout="constrained"
     )
     views = [figure.add_subplot(1, 2, 1), figure.add_subplot(1, 2, 2)]
-    for ax, keep, title in zip(views, ([0, 1], [0, 2]), ("From above", "From the side"), strict=True):
+    titles = ("From above", "From the side") if unit == "mm" else ("Along z", "Along y")
+    for ax, keep, title in zip(views, ([0, 1], [0, 2]), titles, strict=True):
         dots = ax.scatter(
             *found.places[:, keep].T, s=12, c=apart, cmap="viridis_r", vmin=0, vmax=top, lw=0, rasterized=True
         )
@@ -100,7 +100,7 @@ def room_map(found: Difference, names: tuple[str, ...], unit: str) -> Figure:
                 name, center[keep], xytext=(0, 7), textcoords="offset points", ha="center", weight="bold", fontsize=8,
                 color=INK, annotation_clip=True,
             )  # fmt: skip
-        length = "m" if unit == "mm" else unit
+        length = "m" if unit == "mm" else "unit of the first"
         ax.set(title=title, xlabel=f"{'xyz'[keep[0]]}, {length}", ylabel=f"{'xyz'[keep[1]]}, {length}", aspect="equal")
     bar = figure.colorbar(dots, ax=views, shrink=0.8, pad=0.01, aspect=30, label=f"apart, {unit}")
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
