@@ -57,7 +57,7 @@ def error_maps(accuracy: Accuracy, names: tuple[str, ...]) -> Figure:
         at = (left + index * (width + gap)) / PAGE, below / tall, width / PAGE, height / tall
         drawn = _map(figure.add_axes(at), plane, levels, norm, accuracy, names)
     beside = figure.add_axes(((PAGE - right + 0.15) / PAGE, below / tall, 0.12 / PAGE, height / tall))
-    bar = figure.colorbar(drawn, cax=beside, label=f"expected error, {accuracy.unit}", ticks=levels)
+    bar = figure.colorbar(drawn, cax=beside, label=f"expected error, {accuracy.unit.split()[0]}", ticks=levels)
     bar.ax.set_yticklabels([f"{level:g}" for level in levels])
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     hatched = Patch(facecolor="none", edgecolor=BAD, hatch="////", lw=0, label="fewer than two cameras see it")
