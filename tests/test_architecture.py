@@ -16,7 +16,7 @@ LAYERS = (
     ("geometry",),
     ("camera",),
     ("tracks",),
-    ("epipolar", "triangulation"),
+    ("epipolar", "motion", "triangulation"),
     ("calibration",),
     ("landmarks", "metrics"),
     ("validation",),

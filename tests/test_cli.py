@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.cli import command_line, main, parse
 from jaxpoint.config import RoomConfig
 from jaxpoint.io.tracks import load_tracks, save_tracks
@@ -86,6 +87,21 @@ def run(*arguments, capsys=None):
     """Exit code, and with `capsys` what was printed."""
     code = main([str(argument) for argument in arguments])
     return code if capsys is None else (code, *capsys.readouterr())
+
+
+def test_time_offsets_are_shown_and_kept(tmp_path, tracks_file, solver, capsys, real_report):
+    solver.answer = replace(solver.answer, time_offsets=TimeOffsets(np.array([0, 0.25, -1.5, 2]), np.full(4, 0.003)))
+    code, out, _ = run("calibrate", tracks_file, "--time-offsets", "--out", tmp_path / "run", capsys=capsys)
+    assert (code, solver.settings.time_offsets) == (0, True)
+    assert "frames after cam_0" in out
+    assert "-1.500 ± 0.003" in out
+    found = read_run(tmp_path / "run")
+    np.testing.assert_array_equal(found.calibration.time_offsets.frames, [0, 0.25, -1.5, 2])
+    assert found.metrics["time_offsets"]["frames"] == [0, 0.25, -1.5, 2]
+    assert "-1.500 ± 0.003" in (tmp_path / "run" / "report.html").read_text()
+    # The tracks of the run stand on one clock: its halves have no offsets to solve for.
+    run("validate", tmp_path / "run", "--held-out", capsys=capsys)
+    assert solver.settings.time_offsets is False
 
 
 def test_flags_override_the_file_and_the_file_overrides_the_defaults(tmp_path):

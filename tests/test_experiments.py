@@ -9,6 +9,7 @@ import pytest
 import influence
 import random_rooms as rooms
 import self_calibration_stages as stages
+import time_offsets as offsets
 import validation_lengths as lengths
 from jaxpoint.calibration.result import Stage
 from jaxpoint.config import CalibrateSettings, EpipolarSettings
@@ -216,3 +217,19 @@ def lonely(weights) -> int:
     """Pixels of frames in which no other camera is believed: they say nothing."""
     views = np.asarray(weights).sum(axis=1)
     return int(views[views == 1].sum())
+
+
+def test_time_offsets_are_counted_against_their_targets():
+    good = offsets.Row(0, 4, 0.8, "ok", 9.0, 0.01, (0.5, -2.5), 0.40, 0.40, 3.0, 2.0)
+    rows = [good, replace(good, worst_frames=0.06, mean_px=0.5), replace(good, verdict="gate", worst_frames=0.2)]
+    text = offsets.markdown([*rows, offsets.Row(3, 4, 0.4, "too little", 1.0)])
+    assert "All offsets within 0.05 frame: 1 of 4 rooms." in text
+    assert "Mean error at most 1.05 times that in step: 2 of 4 rooms." in text
+    assert "Error of the camera centres over that in step: median 1.50." in text
+    assert "Offsets within 2 predicted standard deviations: 50% of 6." in text
+    assert "Wrong offsets that no gate marked: 1 rooms." in text
+    tracks = random_room(5, cameras=3).tracks
+    later = offsets.a_frame_later(tracks, 1)
+    np.testing.assert_array_equal(later.visible[1:, 1], tracks.visible[:-1, 1])
+    np.testing.assert_array_equal(later.pixels[1:, 1], tracks.pixels[:-1, 1])
+    assert not later.visible[0, 1]

@@ -107,6 +107,8 @@ class CalibrateSettings:
     epipolar: EpipolarSettings = field(default_factory=EpipolarSettings)
     lens: LensSettings = field(default_factory=LensSettings)
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
+    time_offsets: bool = False
+    """Cameras are out of step by up to 2 frames each: solve for a time offset of every camera too."""
     held_out: Fraction = 0.1
     """Fraction of the frames kept aside to judge the distortion model; all are used in the last adjustment."""
     max_mean_px: Positive = 1.0

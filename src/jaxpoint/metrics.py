@@ -47,6 +47,7 @@ def metrics(calibration: Calibration, detect_seconds: float | None = None) -> di
         "seconds": {name: _finite(value) for name, value in seconds.items()},
         "seed": calibration.seed,
         "cameras": _cameras(calibration),
+        "time_offsets": _time_offsets(calibration),
     }
 
 
@@ -66,6 +67,11 @@ def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
         }
         for c, name in enumerate(calibration.tracks.names)
     ]
+
+
+def _time_offsets(calibration: Calibration) -> dict[str, list[float | None]] | None:
+    late = calibration.time_offsets
+    return None if late is None else {"frames": _numbers(late.frames), "sigma": _numbers(late.sigma)}
 
 
 def judge(

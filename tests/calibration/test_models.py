@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration.bundle import SIZE, BrownModel, from_blocks, padded_frames, to_blocks
+from jaxpoint.calibration.offset_model import OffsetModel
 from jaxpoint.calibration.projective import ProjectiveModel
 
 STEP = 1e-6
@@ -34,7 +35,16 @@ def projective(lens, object_space):
     return ProjectiveModel(), numbers, constants, rng.uniform(-0.5, 0.5, (3, 3)), rng.uniform(-0.5, 0.5, (2, 2, 3))
 
 
+def out_of_step():
+    """Brown's cameras with offsets, where the light moves; six numbers an observation."""
+    _, cameras, base, points, pixels = brown([0.2, -0.1, 0.3], [-0.2, 0.05, 0.002, -0.001, 0.01])
+    motion = np.random.default_rng(2).normal(0.0, [[20.0], [20.0], [4.0], [4.0]], (2, 4, 3))
+    numbers = np.concatenate([cameras, [[0.0], [-0.4]]], axis=1)
+    return OffsetModel(), numbers, base, points, np.concatenate([pixels, motion], axis=1)
+
+
 CASES = {
+    "brown out of step": out_of_step(),
     "brown at rest": brown([0.0, 0.0, 0.0], np.zeros(5)),
     "brown bent": brown([0.2, -0.1, 0.3], [-0.2, 0.05, 0.002, -0.001, 0.01]),
     "brown near pi": brown([0.0, np.pi - 1e-3, 0.0], [-0.2, 0.05, 0.0, 0.0, 0.0]),

@@ -11,6 +11,7 @@ from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.calibration import read_camera_array
 from jaxpoint.io.tracks import read_caliscope_corners, read_tracks
+from jaxpoint.tracks import Tracks
 
 
 def all_errors(calibration):
@@ -60,6 +61,16 @@ def _in_order(match):
         chosen[frame] = True
         frame += 1
     return chosen
+
+
+def test_arctic4_is_in_step_and_a_camera_put_a_frame_later_is_found(data_folder):
+    tracks = read_tracks(data_folder / "svoboda_arctic4", one_based=True)
+    pixels, visible = tracks.pixels.copy(), tracks.visible.copy()
+    pixels[1:, 2], visible[1:, 2], visible[0, 2] = tracks.pixels[:-1, 2], tracks.visible[:-1, 2], False
+    late = Tracks.from_pixels(pixels, tracks.image_sizes, visible)
+    found = calibrate(late, CalibrateSettings(time_offsets=True))
+    np.testing.assert_allclose(found.time_offsets.frames, [0.0, 0.0, 1.0, 0.0], atol=0.01)
+    assert found.errors[found.kept].mean() <= 0.21
 
 
 def test_arctic4_is_better_than_published(data_folder, arctic):

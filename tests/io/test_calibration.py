@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import (
     CAMERA_PARAMETERS,
@@ -43,6 +44,23 @@ def test_json_round_trip_is_exact(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["calibration.json"]
     write_calibration_json(path, ROOM.rig)
     assert read_calibration(tmp_path).covariance is None  # a run's folder
+
+
+def test_time_offsets_are_kept_where_there_are_any(tmp_path):
+    path = tmp_path / "calibration.json"
+    late = TimeOffsets(np.linspace(0.0, 1.7, 11), np.full(11, 0.003))
+    write_calibration_json(path, ROOM.rig, time_offsets=late)
+    found = read_calibration_json(path).time_offsets
+    np.testing.assert_array_equal(found.frames, late.frames)
+    np.testing.assert_array_equal(found.sigma, late.sigma)
+    content = json.loads(path.read_text())
+    content["time_offsets"]["sigma"].pop()
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileFormatError, match=r"`\$\.time_offsets` has 11 frames and 10 sigmas for 11 cameras"):
+        read_calibration_json(path)
+    write_calibration_json(path, ROOM.rig)
+    assert "time_offsets" not in json.loads(path.read_text())  # older readers refuse what they do not know
+    assert read_calibration_json(path).time_offsets is None
 
 
 def test_json_is_what_the_readme_says(tmp_path):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxpoint.motion import motion
 from jaxpoint.report import advice as adv
 from jaxpoint.report.summary import Lens
-from jaxpoint.report.sync import image_velocity
 
 SIZES = np.array([[640, 480]] * 3)
 NAMES = ("left", "middle", "right")
@@ -101,13 +101,14 @@ def test_outliers_at_the_edge_of_the_image(pixels, visible):
 
 
 def test_a_late_camera_is_found_and_the_others_are_not(summary):
-    velocity, _ = image_velocity(summary.pixels, summary.visible, summary.frame_ids)
+    velocity = motion(summary.pixels, summary.visible, summary.frame_ids).velocity
     late = np.zeros(len(summary.names))
     late[2] = 0.8
     moved = replace(summary, residuals=summary.residuals + late[:, None] * velocity)
     (item,) = list(adv.on_timing(moved))
     assert summary.names[2] in item.finding
     assert "frames after the others" in item.finding
+    assert "--time-offsets" in item.remedy
     assert item.urgent
     assert list(adv.on_timing(summary)) == []
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.metrics import metrics
 from jaxpoint.report.figures_scene import bounds, frusta, frustum_lines
-from jaxpoint.report.reading import before_alignment, lens_profile
+from jaxpoint.report.reading import before_alignment, lens_profile, pixel_slopes
 from jaxpoint.report.summary import (
     GRID,
     Scene,
@@ -137,3 +137,21 @@ def test_lens_profile_leads_pixels_back_as_opencv_does():
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     ideal = cv2.undistortPoints(marks, intrinsics, np.array([-0.25, 0.06, 0, 0]), criteria=criteria)
     assert_allclose([lens.corner[0], lens.farthest[0]], 800 * np.linalg.norm(ideal[:, 0], axis=1), atol=0.02)
+
+
+def test_pixel_slopes_are_those_of_an_undistorted_camera(calibration):
+    """Against differences of OpenCV's projection."""
+    cameras = calibration.rig.cameras
+    turn, shift = np.asarray(cameras.cam_from_world.rotation), np.asarray(cameras.cam_from_world.translation)
+    focal, points = np.asarray(cameras.focal), np.asarray(calibration.points)[calibration.point_valid][:20]
+    slopes = pixel_slopes(turn, shift, focal, points)
+    for camera in range(len(focal)):
+        lens = np.diag([*focal[camera], 1.0])
+        vector = cv2.Rodrigues(turn[camera])[0]
+        for axis in range(3):
+            step = 1e-5 * np.eye(3)[axis]
+            ahead, behind = (
+                cv2.projectPoints(moved, vector, shift[camera], lens, None)[0][:, 0]
+                for moved in (points + step, points - step)
+            )
+            np.testing.assert_allclose(slopes[:, camera, :, axis], (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-4)

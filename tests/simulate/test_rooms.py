@@ -34,6 +34,27 @@ def test_the_rig_projects_alike(room):
     np.testing.assert_allclose(room.rig.positions, room.positions, atol=1e-12)
 
 
+def test_a_camera_out_of_step_shows_the_light_late():
+    """By whole frames it shows what it showed in the room in step; by a fraction, a place between two of those."""
+
+    def shown(late):
+        return random_room(
+            3, cameras=4, visibility=1.0, outliers=0.0, noise_px=0.0, stride=40, time_offsets=np.array(late)
+        ).tracks
+
+    in_step, late = shown([0.0] * 4), shown([0.0, 2.0, -1.0, 0.5])
+    for camera, rows in ((1, 2), (2, -1)):
+        then, now = slice(max(-rows, 0), 300 - max(rows, 0)), slice(max(rows, 0), 300 + min(rows, 0))
+        both = in_step.visible[then, camera] & late.visible[now, camera]
+        assert both.sum() > 100
+        np.testing.assert_allclose(late.pixels[now, camera][both], in_step.pixels[then, camera][both], atol=1e-8)
+    seen = in_step.visible[1:, 3] & in_step.visible[:-1, 3] & late.visible[1:, 3]
+    middle = (in_step.pixels[1:, 3] + in_step.pixels[:-1, 3]) / 2
+    apart = np.linalg.norm(in_step.pixels[1:, 3] - in_step.pixels[:-1, 3], axis=1)
+    assert np.median(apart[seen]) > 5.0
+    assert np.median(np.linalg.norm(late.pixels[1:, 3] - middle, axis=1)[seen]) < 0.5
+
+
 def test_outliers_are_gross_and_as_many_as_asked(room):
     exact, _ = room.seen(room.points)
     wrong = np.linalg.norm(room.tracks.pixels - exact, axis=-1)

@@ -26,8 +26,9 @@ def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeom
         if inliers[best] < MIN_INLIERS or inliers[best] < MIN_INLIER_SHARE * shared[best]:
             raise InsufficientDataError(
                 f"Camera '{name}' fits no other: of {shared[best]} frames shared with '{tracks.names[best]}' only "
-                f"{inliers[best]} agree with one epipolar geometry. Check that the recordings are synchronised and "
-                "show the same light, or drop the camera."
+                f"{inliers[best]} agree with one epipolar geometry. Check that the recordings are synchronised "
+                "(`jaxpoint check` says; `--time-offsets` solves for cameras out of step by up to 2 frames) and show "
+                "the same light, or drop the camera."
             )
     errors = [_homography_error(data, geometry, pair) for pair in geometry.fundamentals]
     worst = max(errors, default=np.inf)

@@ -47,10 +47,20 @@ class Stage:
 
 
 @dataclass(frozen=True)
+class TimeOffsets:
+    """By how much cameras ran out of step, in frames of the recording; the first camera is the clock."""
+
+    frames: Float[np.ndarray, " C"]  # positive: the camera shows the light late; the first is 0
+    sigma: Float[np.ndarray, " C"]  # one standard deviation; of the first 0
+
+
+@dataclass(frozen=True)
 class Calibration:
     """A calibrated rig, the light's path, and what became of every observation.
 
-    Lengths are in the solver's own unit until the result is aligned (`unit` is then "m").
+    With `time_offsets`, `tracks` are not as recorded: every observation stands where its camera saw the light at the
+    row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is aligned (`unit`
+    is then "m").
     """
 
     rig: CameraRig
@@ -73,6 +83,7 @@ class Calibration:
     seed: int = 0
     freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
     loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
+    time_offsets: TimeOffsets | None = None  # where they were solved for
 
     @property
     def kept(self) -> Bool[np.ndarray, "F C"]:

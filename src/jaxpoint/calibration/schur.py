@@ -44,7 +44,7 @@ class Unknowns(eqx.Module):
 class Problem(eqx.Module):
     """The data of one adjustment. A weight of 0 hides an observation; hidden values never matter."""
 
-    pixels: Float[Array, "NB C 2 B"]
+    pixels: Float[Array, "NB C q B"]  # what a model needs of an observation: of most the pixel, q = 2
     weights: Float[Array, "NB C B"]
     constants: PyTree[Array]  # of the cameras, whatever the model needs; leading axis C
     free: Bool[Array, "C p"]  # camera parameters that may move
@@ -71,7 +71,7 @@ class AbstractModel(eqx.Module):
 
     @abc.abstractmethod
     def residual(
-        self, state: PyTree[Array], moved: Float[Array, " p"], point: Float[Array, "3"], pixel: Float[Array, "2"]
+        self, state: PyTree[Array], moved: Float[Array, " p"], point: Float[Array, "3"], pixel: Float[Array, " q"]
     ) -> Float[Array, " r"]:
         """The residual of one camera and point, the camera `moved` by a small step from its state."""
 
@@ -94,7 +94,7 @@ class AbstractModel(eqx.Module):
         return raw * shrink[:, :, None], prior
 
     def columns(
-        self, state: PyTree[Array], point: Float[Array, "3"], pixel: Float[Array, "2"]
+        self, state: PyTree[Array], point: Float[Array, "3"], pixel: Float[Array, " q"]
     ) -> tuple[tuple, tuple, tuple]:
         """The residual and its derivatives as scalars: r, then r of p for the camera, then r of 3 for the point.
 
@@ -279,7 +279,7 @@ def _cross(for_camera, for_point, root) -> Float[Array, "C p n"]:
     return jnp.concatenate(parts, axis=-1)
 
 
-def _observations(problem: Problem) -> tuple[Float[Array, "NB C 2 B"], Float[Array, "NB C B"]]:
+def _observations(problem: Problem) -> tuple[Float[Array, "NB C q B"], Float[Array, "NB C B"]]:
     """Pixels and weights; what is hidden may be anything, also infinite, and must not reach a product."""
     return jnp.where(problem.weights[:, :, None] > 0, problem.pixels, 0.0), problem.weights
 
@@ -289,7 +289,7 @@ def _total(values, axis: str | None):
     return values if axis is None else jax.lax.psum(values, axis)
 
 
-def _reduced(model, y: Unknowns, problem: Problem, point_damping, axis: str | None = None):
+def reduced_system(model, y: Unknowns, problem: Problem, point_damping, axis: str | None = None):
     """Camera blocks (C, m, m), what eliminating the points takes from them (D, D), the gradient left (D,); D = C m.
 
     Of the m parameters that move, and what the points' own step needs afterwards.
@@ -380,7 +380,7 @@ def _trial(model, y: Unknowns, problem: Problem, damping, project_points: bool, 
     problem must not hold up the others. (Always done, it would spoil good steps: Ladybug-49 took 183 instead of 27.)
     """
     point_damping = jnp.zeros_like(damping) if project_points else damping
-    diagonal, product, gradient, kept = _reduced(model, y, problem, point_damping, axis)
+    diagonal, product, gradient, kept = reduced_system(model, y, problem, point_damping, axis)
     step, promise, reach = _camera_step(diagonal, product, gradient, damping)
     whole = jnp.zeros_like(y.cameras).at[:, np.array(model.moving)].set(step)
     moved = model.retract(y.cameras, problem.constants, whole)

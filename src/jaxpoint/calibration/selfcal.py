@@ -14,14 +14,19 @@ from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.hypotheses import Lenses, known_numbers
 from jaxpoint.calibration.initial import Inputs, Start, starts
 from jaxpoint.calibration.lens_choice import choose_lens
+from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
+from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
-from jaxpoint.calibration.result import Calibration, PairTable, Stage, Verdict
+from jaxpoint.calibration.result import Calibration, PairTable, Stage, TimeOffsets, Verdict
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
+from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
+from jaxpoint.errors import InsufficientDataError
+from jaxpoint.motion import moved_to_clock
 from jaxpoint.tracks import Tracks
 
 Progress = Callable[[str, int, int], None]
@@ -68,37 +73,48 @@ def _silent(what: str, done: int, total: int) -> None:
     """No progress is shown."""
 
 
-def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration:
+def _calibrated(recorded: Tracks, settings, intrinsics, progress: Progress) -> Calibration:
     clock = [time.perf_counter()]
-    pairs = pair_table(tracks)
+    tracks, pairs = recorded, pair_table(recorded)
     check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
+    rough = _rough_offsets(recorded, settings, intrinsics, progress) if settings.time_offsets else None
+    if rough is not None:
+        tracks, pairs = _on_one_clock(recorded, rough, known_intrinsics=intrinsics is not None)
     recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
     compiling = WarmUp(recording, data)
     epipolar = settings.epipolar
     if intrinsics is not None:
         epipolar = replace(epipolar, division_model=False)
-    geometry = two_view_geometry(
-        data, epipolar, settings.seed, lambda done, total: progress("pairs of cameras", done, total)
-    )
+    try:
+        geometry = two_view_geometry(
+            data, epipolar, settings.seed, lambda done, total: progress("pairs of cameras", done, total)
+        )
+        check_geometry(tracks, data, geometry)
+    finally:
+        compiling.wait()  # also before an error ends the process: a compilation left to itself would abort it
     pairs = replace(pairs, inliers=geometry.inliers)
-    check_geometry(tracks, data, geometry)
     hold = settings.lens.known == "hold"
     distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
     freedom = _freedom(recording, settings, distortion, intrinsics)
     lenses = Lenses.of(data, geometry, intrinsics)
     inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
     progress("first solution", 0, 1)
-    compiling.wait()
     candidates, stages = starts(inputs, settings.init)
     progress("first solution", 1, 1)
     clock.append(time.perf_counter())
     progress("adjustment", 0, 1)
     settled = _best_settled(inputs, candidates, settings)
+    in_step = None
+    if rough is not None:
+        in_step = brought_in_step(recorded, settled.judged.state, rough, freedom, settings.outliers)
+        settled, recording, tracks = in_step.settled, in_step.recording, in_step.tracks
     if settings.lens.distortion == "auto" and not hold:
-        settled, freedom, stage = choose_lens(
-            recording, settled, freedom, _freedom(recording, settings, "brown", intrinsics), settings
-        )
+        rich = _freedom(recording, settings, "brown", intrinsics)
+        settled, freedom, stage = choose_lens(recording, settled, freedom, rich, settings)
         stages.append(stage)
+        if in_step is not None and freedom is rich:
+            in_step = brought_in_step(recorded, settled.judged.state, in_step.offsets, freedom, settings.outliers)
+            settled, recording, tracks = in_step.settled, in_step.recording, in_step.tracks
     progress("adjustment", 1, 1)
     clock.append(time.perf_counter())
     seconds = {"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]}
@@ -107,7 +123,58 @@ def _calibrated(tracks, settings, intrinsics, progress: Progress) -> Calibration
     found = _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed, float(explained))
     parts = (freedom.free, freedom.prior_mean, freedom.prior_weight)
     loss_scale = 2.0 * settled.sigma_px if settings.outliers.loss == "cauchy" else None
-    return replace(found, freedom=Freedom(*(part[: tracks.cameras] for part in parts)), loss_scale=loss_scale)
+    found = replace(found, freedom=Freedom(*(part[: tracks.cameras] for part in parts)), loss_scale=loss_scale)
+    return found if in_step is None else _with_offsets(found, recorded, in_step)
+
+
+def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> np.ndarray:
+    """Time offsets from pairs of cameras, frames (C,); the first is 0."""
+    pairs = pair_offsets(
+        tracks,
+        settings.epipolar,
+        settings.seed,
+        intrinsics,
+        progress=lambda done, total: progress("time offsets", done, total),
+    )
+    return joint_offsets(pairs, tracks.cameras)
+
+
+def _on_one_clock(recorded: Tracks, rough: np.ndarray, known_intrinsics: bool) -> tuple[Tracks, PairTable]:
+    """The tracks as if recorded in step, once it is seen that enough is left of them."""
+    tracks = moved_to_clock(recorded, rough)
+    pairs = pair_table(tracks)
+    try:
+        check_pairs(tracks, pairs, known_intrinsics=known_intrinsics)
+    except InsufficientDataError as error:
+        raise InsufficientDataError(
+            f"Of {recorded.visible.sum()} observations {tracks.visible.sum()} can be brought to one clock, the others "
+            f"have too few neighbours in time. {error}"
+        ) from None
+    return tracks, pairs
+
+
+def _with_offsets(found: Calibration, recorded: Tracks, in_step: InStep) -> Calibration:
+    """The calibration with the offsets that it was made with."""
+    sigma = in_step.unit_sigmas * np.sqrt(variance_px2(found))
+    left_out = int(recorded.visible.sum() - found.tracks.visible.sum())
+    stage = Stage(
+        "Time offsets",
+        {
+            "frames": {
+                name: f"{late:+.3f} ± {sure:.3f}" for name, late, sure in zip(recorded.names, in_step.offsets, sigma)
+            },
+            "observations_left_out_for_want_of_neighbours_in_time": left_out,
+            "rounds": in_step.rounds,
+        },
+    )
+    message = found.message if in_step.still else f"{found.message}; the time offsets did not come to rest"
+    return replace(
+        found,
+        time_offsets=TimeOffsets(in_step.offsets, sigma),
+        stages=(*found.stages, stage),
+        converged=found.converged and in_step.still,
+        message=message,
+    )
 
 
 def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:

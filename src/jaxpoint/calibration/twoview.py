@@ -87,11 +87,11 @@ def _usable_pairs(data: NormalisedTracks, least: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(cameras) for j in range(i + 1, cameras) if shared[i, j] >= least]
 
 
-def _threshold(data: NormalisedTracks, pair, settings: EpipolarSettings) -> float:
+def pair_threshold(data: NormalisedTracks, pair, settings: EpipolarSettings) -> float:
     return settings.threshold_px * float(data.widths[list(pair)].mean()) / 1280.0
 
 
-def _fit(data, pair, settings, rng, lenses, threshold):
+def fit_pair(data, pair, settings, rng, lenses, threshold):
     i, j = pair
     seen = data.visible[:, i] & data.visible[:, j]
     return robust_fundamental(
@@ -109,8 +109,8 @@ def _fit(data, pair, settings, rng, lenses, threshold):
 def _pair_lens_table(data, pair, settings, rng) -> np.ndarray:
     """Summed robust cost of the pair for every two lenses of the grid."""
     i, j = pair
-    threshold = _threshold(data, pair, settings)
-    loose = np.asarray(_fit(data, pair, settings, rng, FIRST_LENSES, LOOSE * threshold).inlier)
+    threshold = pair_threshold(data, pair, settings)
+    loose = np.asarray(fit_pair(data, pair, settings, rng, FIRST_LENSES, LOOSE * threshold).inlier)
     table = lens_table(
         data.points[:, i],
         data.points[:, j],
@@ -174,7 +174,7 @@ def _with_lenses(data, pairs, lenses, settings, rng, progress, total) -> TwoView
     for number, (i, j) in enumerate(pairs):
         both = data.visible[:, i] & data.visible[:, j]
         offered = np.tile(lenses[[i, j]], (len(FIRST_LENSES), 1))
-        fit = _fit(data, (i, j), settings, rng, offered, _threshold(data, (i, j), settings))
+        fit = fit_pair(data, (i, j), settings, rng, offered, pair_threshold(data, (i, j), settings))
         good = np.asarray(fit.inlier)
         fundamentals[i, j] = np.asarray(fit.fundamental)
         shared[i, j] = shared[j, i] = both.sum()

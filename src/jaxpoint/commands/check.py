@@ -12,10 +12,11 @@ import tyro
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import intrinsics_from, tracks_from
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
-from jaxpoint.config import InputSettings, RoomConfig
+from jaxpoint.config import EpipolarSettings, InputSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
+    from jaxpoint.calibration.offset_search import PairOffset
     from jaxpoint.calibration.result import PairTable
     from jaxpoint.report.advice import Advice
     from jaxpoint.tracks import Tracks
@@ -41,24 +42,30 @@ class Check(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """The pair table and what it means; data that does not suffice is a failure of the outcome."""
+        from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
         from jaxpoint.calibration.pairs import check_pairs, pair_table
-        from jaxpoint.report.advice import on_recording, on_synchrony, on_views
+        from jaxpoint.report.advice import advise_on_tracks
 
         if self.out is not None:
             from jaxpoint.runs import check_out
 
             check_out(self.out, self.force)
         tracks = tracks_from(self.tracks, self.input)
-        known = intrinsics_from(self.input, tracks) is not None
-        pairs, seen = pair_table(tracks), (tracks.pixels, tracks.visible)
-        advice = [
-            *on_recording(tracks.names, *seen, tracks.image_sizes, pairs.shared),
-            *on_views(tracks.visible),
-            *on_synchrony(tracks.names, *seen, tracks.frame_ids),
-        ]
+        intrinsics, pairs = intrinsics_from(self.input, tracks), pair_table(tracks)
+        with console.progress() as progress:
+            offsets = pair_offsets(
+                tracks,
+                EpipolarSettings(),
+                self.seed,
+                intrinsics,
+                partners=1,
+                progress=lambda done, total: progress("pairs in step?", done, total),
+            )
+        seen = (tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
+        advice = advise_on_tracks(tracks.names, *seen, offsets)
         failure = None
         try:
-            check_pairs(tracks, pairs, known_intrinsics=known)
+            check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
         except InsufficientDataError as error:
             failure = error
         figures = {
@@ -68,16 +75,19 @@ class Check(SeededOptions):
             ],
             "frames": tracks.frames,
             "shared": pairs.shared.tolist(),
+            "time_offsets": joint_offsets(offsets, tracks.cameras).tolist(),
             "advice": [asdict(item) for item in advice],
             "sufficient": failure is None,
             "problem": None if failure is None else str(failure),
         }
         lines = _lines(pairs, tracks.frames, advice, failure is None)
         if self.out is not None:
-            lines = (*lines, f"Report: {self._keep(self.out, tracks, pairs, figures)}")
+            lines = (*lines, f"Report: {self._keep(self.out, tracks, pairs, offsets, figures)}")
         return Outcome(figures, lines, failure)
 
-    def _keep(self, out: Path, tracks: Tracks, pairs: PairTable, figures: dict[str, Any]) -> Path:
+    def _keep(
+        self, out: Path, tracks: Tracks, pairs: PairTable, offsets: list[PairOffset], figures: dict[str, Any]
+    ) -> Path:
         from jaxpoint.report.html import write_tracks_report
         from jaxpoint.runs import MARK, new_run, provenance, write_json
 
@@ -85,7 +95,9 @@ class Check(SeededOptions):
         with new_run(out, self.force) as folder:
             write_json(folder / MARK, made)
             write_json(folder / "check.json", figures)
-            write_tracks_report(folder / "report.html", tracks, pairs, problem=figures["problem"], provenance=made)
+            write_tracks_report(
+                folder / "report.html", tracks, pairs, offsets=offsets, problem=figures["problem"], provenance=made
+            )
         return out / "report.html"
 
 

@@ -113,12 +113,11 @@ def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationD
     from jaxpoint.validation import compare_calibrations, validate_held_out
 
     tracks = run.calibration.tracks
+    settings = replace(run.config.calibrate, time_offsets=False)  # these tracks stand on one clock already
     intrinsics = intrinsics_from(run.config.input, tracks)
     even, odd = (tracks.select_frames(np.arange(start, tracks.frames, 2)) for start in (0, 1))
     with console.progress() as progress:
-        first, second = (
-            calibrate(half, run.config.calibrate, intrinsics=intrinsics, progress=progress) for half in (even, odd)
-        )
+        first, second = (calibrate(half, settings, intrinsics=intrinsics, progress=progress) for half in (even, odd))
     return validate_held_out(first.rig, odd), compare_calibrations(first, second)
 
 

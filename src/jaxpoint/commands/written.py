@@ -13,6 +13,7 @@ from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome
 from jaxpoint.config import RoomConfig
 from jaxpoint.metrics import judge
+from jaxpoint.report.tables import offset_texts
 from jaxpoint.runs import write_run
 
 
@@ -53,6 +54,11 @@ def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> t
         )
         for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
     ]
+    header = ("camera", "focal px", "centre px", "k1", "kept", "mean px")
+    late = calibration.time_offsets
+    if late is not None:
+        header = (*header, f"frames after {rows[0][0]}")
+        rows = [(*row, offset) for row, offset in zip(rows, offset_texts(late))]
     summary = (
         f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
         f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "
@@ -69,5 +75,4 @@ def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> t
             *aligned.warnings,
         )
     )
-    header = ("camera", "focal px", "centre px", "k1", "kept", "mean px")
     return (*table(header, rows), summary, *in_room, f"Report: {report}")

@@ -13,6 +13,8 @@
                   "translation": [x, y, z]}, ...],                camera axes x right, y down, z forward
      "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...],
                                                "gauge": "free" or "landmarks"}
+     "time_offsets": {"frames": [0.0, ...], "sigma": [0.0, ...]},      one a camera, only where they were solved for:
+                                           by how many frames it shows the light later than the first camera
      "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
 
 `covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (that of
@@ -37,6 +39,7 @@ import numpy as np
 import tomli_w
 from jaxtyping import Float
 
+from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
@@ -68,6 +71,11 @@ class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
     gauge: str | None = None
 
 
+class _TimeOffsetsEntry(msgspec.Struct, forbid_unknown_fields=True):
+    frames: list[float]
+    sigma: list[float]
+
+
 class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
     format: str
     version: int
@@ -75,6 +83,7 @@ class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
     cameras: list[_CameraEntry]
     covariance: _CovarianceEntry | None = None
     provenance: dict[str, Any] = {}
+    time_offsets: _TimeOffsetsEntry | msgspec.UnsetType = msgspec.UNSET
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,7 @@ class SavedCalibration:
     covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
     gauge: str | None = None  # what holds its frame: "free" or "landmarks"
     provenance: dict[str, Any] = field(default_factory=dict)
+    time_offsets: TimeOffsets | None = None
 
 
 def read_calibration(path: StrPath) -> SavedCalibration:
@@ -112,6 +122,7 @@ def write_calibration_json(
     covariance: Float[np.ndarray, "D D"] | None = None,
     gauge: str | None = None,
     provenance: Mapping[str, Any] | None = None,
+    time_offsets: TimeOffsets | None = None,
 ) -> None:
     """Write a rig as `calibration.json` (schema: this module's docstring), at once or not at all.
 
@@ -120,6 +131,7 @@ def write_calibration_json(
         covariance: of all camera parameters, D = 15 C, in the order of `CAMERA_PARAMETERS`.
         gauge: what holds its frame, "free" or "landmarks" (see `calibration.uncertainty`).
         provenance: anything JSON can hold.
+        time_offsets: of the cameras, where they were solved for.
 
     Raises:
         ValueError: a number is not finite, a lens is not Brown's, or the covariance has another shape.
@@ -131,8 +143,13 @@ def write_calibration_json(
     entry = None
     if covariance is not None:
         entry = _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist(), gauge)
+    late = (
+        msgspec.UNSET
+        if time_offsets is None
+        else _TimeOffsetsEntry(time_offsets.frames.tolist(), time_offsets.sigma.tolist())
+    )
     content = _CalibrationFile(
-        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, _entries(rig), entry, dict(provenance or {})
+        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, _entries(rig), entry, dict(provenance or {}), late
     )
     with replacing(path) as file:
         file.write(msgspec.json.format(msgspec.json.encode(content), indent=1))
@@ -162,7 +179,19 @@ def read_calibration_json(path: StrPath) -> SavedCalibration:
     rig = _rig(path, content.cameras)
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
-    return SavedCalibration(rig, content.unit, _covariance(path, entry, len(rig)), gauge, content.provenance)
+    late = _time_offsets(path, content.time_offsets, len(rig))
+    return SavedCalibration(rig, content.unit, _covariance(path, entry, len(rig)), gauge, content.provenance, late)
+
+
+def _time_offsets(path: StrPath, entry: _TimeOffsetsEntry | msgspec.UnsetType, cameras: int) -> TimeOffsets | None:
+    if isinstance(entry, msgspec.UnsetType):
+        return None
+    if len(entry.frames) != cameras or len(entry.sigma) != cameras:
+        raise FileFormatError(
+            f"{path}: `$.time_offsets` has {len(entry.frames)} frames and {len(entry.sigma)} sigmas for {cameras} "
+            "cameras; one each is needed."
+        )
+    return TimeOffsets(np.array(entry.frames), np.array(entry.sigma))
 
 
 def _covariance(path: StrPath, entry: _CovarianceEntry | None, cameras: int) -> np.ndarray | None:

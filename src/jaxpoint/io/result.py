@@ -33,6 +33,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         covariance=calibration.camera_covariance,
         gauge=calibration.gauge,
         provenance=provenance,
+        time_offsets=calibration.time_offsets,
     )
     save_tracks(folder / "tracks.npz", calibration.tracks)
     about = {
@@ -92,6 +93,7 @@ def load_result(folder: Path) -> Calibration:
         camera_covariance=saved.covariance,
         gauge=saved.gauge,
         undetermined=about.get("undetermined", ""),
+        time_offsets=saved.time_offsets,
         seed=about["seed"],
         freedom=freedom,
         loss_scale=about.get("loss_scale"),

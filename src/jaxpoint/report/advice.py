@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxpoint.calibration.offset_search import PairOffset, joint_offsets
 from jaxpoint.calibration.pairs import MIN_FRAMES
+from jaxpoint.motion import motion
 from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_cells, image_coverage
 from jaxpoint.report.sync import speed_lags, time_offsets
 
 ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
 BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
+LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
+LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
+_SOLVE_OFFSETS = "Calibrate with `--time-offsets` (calibrate.time_offsets = true), which solves for the offsets"
 
 
 @dataclass(frozen=True)
@@ -49,13 +54,18 @@ def advise_on_tracks(
     visible: Bool[np.ndarray, "F C"],
     sizes: Int[np.ndarray, "C 2"],
     frame_ids: Int[np.ndarray, " F"],
+    pairs: Sequence[PairOffset] = (),
 ) -> list[Advice]:
-    """What tracks alone say, before anything is solved; urgent things first."""
+    """What tracks alone say, before anything is solved; urgent things first.
+
+    Args:
+        pairs: time offsets as `calibration.offset_search.pair_offsets` finds them.
+    """
     shared = visible.T.astype(int) @ visible.astype(int)
     found = [
         *on_recording(names, pixels, visible, sizes, shared),
         *on_views(visible),
-        *on_synchrony(names, pixels, visible, frame_ids),
+        *(list(on_offsets(names, pairs)) or on_synchrony(names, pixels, visible, frame_ids)),
     ]
     return sorted(found, key=lambda advice: not advice.urgent)
 
@@ -172,18 +182,36 @@ def on_borders(
 
 def on_timing(summary: Summary) -> Iterator[Advice]:
     """Residuals that follow the light's motion: a camera out of step."""
-    offset, sigma = time_offsets(
-        summary.residuals, summary.kept, summary.pixels, summary.visible, summary.frame_ids
-    )  # fmt: skip
-    certain = np.abs(offset) > np.maximum(6 * sigma, 0.1)
+    moving = motion(summary.pixels, summary.visible, summary.frame_ids)
+    judged = summary.judged & summary.point_valid[:, None]
+    offset, sigma = time_offsets(summary.residuals, judged, moving, summary.slopes, summary.sigma_px)
+    certain = np.abs(offset) > np.maximum(6 * sigma, LEAST_RESIDUAL_OFFSET)
     for camera in np.flatnonzero(certain):
         when = "after" if offset[camera] > 0 else "before"
         yield Advice(
-            f"The residuals of camera {summary.names[camera]} follow the light's motion: it shows it "
-            f"{abs(offset[camera]):.2f} ± {sigma[camera]:.2f} frames {when} the others.",
-            "Check the synchronisation (trigger, dropped frames, clocks); a slower wave makes the error smaller.",
-            urgent=bool(abs(offset[camera]) > 0.5),
+            f"The residuals of camera {summary.names[camera]} follow the light's motion: it shows it at least "
+            f"{abs(offset[camera]):.2f} frames {when} the others.",
+            f"{_SOLVE_OFFSETS}, or mend the synchronisation (trigger, dropped frames, clocks).",
+            urgent=bool(abs(offset[camera]) > 0.1),
         )
+
+
+def on_offsets(names: Sequence[str], pairs: Sequence[PairOffset]) -> Iterator[Advice]:
+    """Cameras out of step, fractions of a frame included, as the epipolar geometry of pairs has it."""
+    sure = [p for p in pairs if abs(p.frames) >= LEAST_OFFSET and p.fit >= 0.3 and p.fit > p.fit_in_step]
+    if not sure:
+        return
+    late = joint_offsets(list(pairs), len(names))
+    told = [
+        f"{name} shows the light about {abs(by):.1f} frames {'late' if by > 0 else 'early'}"
+        for name, by in zip(names, late)
+        if abs(by) >= LEAST_OFFSET
+    ]
+    yield Advice(
+        f"The cameras are out of step: against {names[0]}, {', '.join(told)}.",
+        f"{_SOLVE_OFFSETS}; better still, trigger the cameras together.",
+        urgent=bool(np.ptp(late) >= 0.5),
+    )
 
 
 def on_synchrony(

@@ -15,6 +15,7 @@ from jaxtyping import UInt8
 from markupsafe import Markup, escape
 
 from jaxpoint.calibration.alignment import Alignment
+from jaxpoint.calibration.offset_search import PairOffset
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing
@@ -82,7 +83,7 @@ def write_report(
         tiles=_tiles(summary, calibration, seconds),
         advice=advice or [_NO_ADVICE],
         fits=tables.fit_table(summary),
-        lenses=tables.lens_table(summary),
+        lenses=tables.lens_table(summary, calibration.time_offsets),
         accuracy=shown,
         figures=figures,
         rig_caption=_rig_caption(calibration.alignment),
@@ -106,6 +107,7 @@ def write_tracks_report(
     tracks: Tracks,
     pairs: PairTable,
     *,
+    offsets: Sequence[PairOffset] = (),
     problem: str | None = None,
     provenance: Mapping[str, Any] | None = None,
     config_text: str | None = None,
@@ -117,13 +119,15 @@ def write_tracks_report(
     Args:
         path: the HTML file; it is replaced whole or not at all.
         pairs: as `calibration.pairs.pair_table` gives.
+        offsets: as `calibration.offset_search.pair_offsets` gives.
         problem: why these tracks cannot be calibrated, where that is already known.
         provenance, config_text, sheets, title: as in `write_report`.
 
     Raises:
         OSError: the folder is missing or not writable.
     """
-    advice = advise_on_tracks(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
+    seen = (tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
+    advice = advise_on_tracks(tracks.names, *seen, offsets)
     with style():
         names = short_names(tracks.names)
         coverage = figures_lens.coverage_maps(names, tracks.pixels, tracks.visible, tracks.image_sizes)
@@ -149,6 +153,7 @@ def write_tracks_report(
         ],
         advice=advice or [Advice("The recording looks fine.", "Go on with `jaxpoint calibrate`.")],
         pairs=tables.pair_matrix(pairs),
+        moments=tables.moment_table(names, offsets),
         lags=tables.lag_matrix(names, *speed_lags(tracks.pixels, tracks.visible, tracks.frame_ids)),
         enough_shared=ENOUGH_SHARED,
         figures=figures,

@@ -40,6 +40,7 @@ def summarise(calibration: Calibration) -> Summary:
         pixels=tracks.pixels,
         visible=tracks.visible,
         residuals=np.asarray(calibration.residuals),
+        slopes=pixel_slopes(rotation, translation, focal, np.asarray(calibration.points)),
         verdicts=np.asarray(calibration.verdicts),
         point_valid=valid,
         sigma_px=float(calibration.sigma_px),
@@ -52,6 +53,21 @@ def summarise(calibration: Calibration) -> Summary:
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
     )
+
+
+def pixel_slopes(
+    rotation: Float[np.ndarray, "C 3 3"],
+    translation: Float[np.ndarray, "C 3"],
+    focal: Float[np.ndarray, "C 2"],
+    points: Float[np.ndarray, "F 3"],
+) -> Float[np.ndarray, "F C 2 3"]:
+    """Derivatives of the pixels by the point, without the lens's bending; zero in the camera's own plane."""
+    local = np.einsum("cij,fj->fci", rotation, points) + translation
+    near = np.abs(local[..., 2:]) < 1e-9
+    depth = np.where(near, 1.0, local[..., 2:])
+    scale = np.where(near, 0.0, focal / depth)  # (F, C, 2)
+    towards = local[..., :2] / depth
+    return scale[..., None] * (rotation[:, :2] - towards[..., None] * rotation[:, 2:])
 
 
 def before_alignment(scene: Scene, similarity) -> Scene:

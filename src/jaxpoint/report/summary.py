@@ -83,6 +83,7 @@ class Summary:
     pixels: Float[np.ndarray, "F C 2"]
     visible: Bool[np.ndarray, "F C"]
     residuals: Float[np.ndarray, "F C 2"]  # projected minus observed
+    slopes: Float[np.ndarray, "F C 2 3"]  # px per unit: how pixels follow the light's point, bending left out
     verdicts: Int[np.ndarray, "F C"]
     point_valid: Bool[np.ndarray, " F"]
     sigma_px: float

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxpoint.calibration.result import PairTable, Stage, Verdict
+from jaxpoint.calibration.offset_search import PairOffset
+from jaxpoint.calibration.result import PairTable, Stage, TimeOffsets, Verdict
 from jaxpoint.report.advice import ENOUGH_SHARED
 from jaxpoint.report.style import short_names
 from jaxpoint.report.summary import BEST, Summary, mean, mean_of_best, worst_outliers
@@ -76,8 +77,8 @@ def fit_table(summary: Summary) -> Table:
     return Table(header, rows)
 
 
-def lens_table(summary: Summary) -> Table:
-    """One row a camera: its lens and its place."""
+def lens_table(summary: Summary, late: TimeOffsets | None = None) -> Table:
+    """One row a camera: its lens and its place, and its time offset where that was solved for."""
     unit = "m" if summary.scene.unit == "m" else "solver's unit"
     header = [
         "Camera", "Image", "Focal length", "Principal point", "View\nacross", "Distortion", f"Position, {unit}",
@@ -95,6 +96,24 @@ def lens_table(summary: Summary) -> Table:
             ", ".join(f"{k:.4g}" for k in _without_tail(summary.distortion[c].tolist())) or "none",
             "{:.3f}, {:.3f}, {:.3f}".format(*summary.scene.centers[c]),
         ])  # fmt: skip
+    if late is not None:
+        header.append(f"Frames after\n{summary.names[0]}")
+        rows = [[*row, offset] for row, offset in zip(rows, offset_texts(late))]
+    return Table(header, rows)
+
+
+def offset_texts(late: TimeOffsets) -> list[str]:
+    """The offset of every camera with its standard deviation, frames; the first is the clock."""
+    return ["the clock", *(f"{by:+.3f} ± {sure:.3f}" for by, sure in zip(late.frames[1:], late.sigma[1:]))]
+
+
+def moment_table(names: Sequence[str], pairs: Sequence[PairOffset]) -> Table:
+    """At which offset the views of each pair agree best."""
+    header = ["Cameras", "Agree best, frames\nfrom first to second", "Matches\nthat fit then", "and in step"]
+    rows = [
+        [f"{names[p.first]} and {names[p.second]}", f"{p.frames:+.2f}", f"{p.fit:.0%}", f"{p.fit_in_step:.0%}"]
+        for p in pairs
+    ]
     return Table(header, rows)
 
 

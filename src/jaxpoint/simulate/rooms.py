@@ -6,6 +6,7 @@ some lie along epipolar lines and so are invisible to any pair of cameras.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -33,6 +34,7 @@ class Room:
     is_outlier: Bool[np.ndarray, "F C"]
     is_epipolar: Bool[np.ndarray, "F C"]  # outliers that lie along the epipolar line of another camera
     noise_px: float
+    time_offsets: Float[np.ndarray, " C"]  # frames: in frame f camera c shows where the light was at f - offset
 
     @property
     def positions(self) -> Float[np.ndarray, "C 3"]:
@@ -68,6 +70,8 @@ def random_room(
     visibility: float | None = None,
     outliers: float | None = None,
     noise_px: float | None = None,
+    stride: int = 6,
+    time_offsets: Float[np.ndarray, " C"] | None = None,
 ) -> Room:
     """One random room; what is not given is drawn from `seed`.
 
@@ -80,6 +84,10 @@ def random_room(
         outliers: fraction of gross outliers among the visible pixels, drawn from 0 to 0.1; a third lie along
             epipolar lines; all are displaced by more than 10 `noise_px`.
         noise_px: standard deviation of the noise of a pixel coordinate, drawn from 0.3 to 1.
+        stride: frames between the random places in the room through which the light is waved. 6 is a wild wave, 70 px
+            a frame; 24 a brisk one, 20 px.
+        time_offsets: frames by which each of the cameras (their number must be given) shows the light late; `points`
+            is the light on the common clock. All else of a room stays as its seed says.
     """
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 13)) if cameras is None else cameras
@@ -87,8 +95,9 @@ def random_room(
     kept = rng.uniform(0.4, 1.0) if visibility is None else visibility
     outlier_share = rng.uniform(0.0, 0.1) if outliers is None else outliers
     noise = rng.uniform(0.3, 1.0) if noise_px is None else noise_px
+    offsets = np.zeros(count) if time_offsets is None else np.asarray(time_offsets, float)
     for _ in range(1000):
-        room = _draw(rng, count, frames, layout, kept, outlier_share, noise)
+        room = _draw(rng, count, (frames, stride), layout, kept, outlier_share, noise, offsets)
         shared = (room.tracks.visible[:, :, None] & room.tracks.visible[:, None, :]).sum(axis=0)
         np.fill_diagonal(shared, 0)
         if ((shared >= MIN_SHARED).sum(axis=1) >= 2).all():
@@ -99,15 +108,17 @@ def random_room(
     )
 
 
-def _draw(rng, cameras, frames, layout, kept, outlier_share, noise) -> Room:
+def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Room:
     """One room, not yet checked for how much its cameras share."""
+    frames = wave[0]
     focal = rng.uniform(500.0, 1500.0, cameras)
     center = (np.array(IMAGE_PX) - 1) / 2 + rng.normal(0.0, 0.015 * IMAGE_PX[0], (cameras, 2))
     distortion = np.stack([_random_lens(rng, f) for f in focal])
     rotation, translation = _random_poses(rng, cameras, layout)
     lens = (focal, center, distortion, rotation, translation)
-    points = _waved_path(rng, frames)
-    exact, in_view = _project(lens, points)
+    path = _waved_path(rng, *wave)
+    shown = np.stack([path(np.arange(frames) - offset) for offset in offsets], axis=1)
+    exact, in_view = _seen_by_each(lens, shown)
     visible = in_view & (rng.random(in_view.shape) < kept)
     pixels = exact + rng.normal(0.0, noise, exact.shape)
     is_outlier = visible & (rng.random(visible.shape) < outlier_share)
@@ -117,10 +128,10 @@ def _draw(rng, cameras, frames, layout, kept, outlier_share, noise) -> Room:
         along = bool(is_epipolar[frame, camera]) and len(others) > 0
         is_epipolar[frame, camera] = along
         other = int(rng.choice(others)) if along else None
-        pixels[frame, camera] = _displaced(rng, lens, points[frame], exact[frame, camera], camera, other, noise)
+        pixels[frame, camera] = _displaced(rng, lens, shown[frame], exact[frame, camera], camera, other, noise)
     sizes = np.tile(np.array(IMAGE_PX), (cameras, 1))
     tracks = Tracks.from_pixels(pixels, sizes, visible, times=np.arange(frames) / 25.0)
-    return Room(tracks, *lens, points, is_outlier, is_epipolar, float(noise))
+    return Room(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), offsets)
 
 
 def _random_lens(rng, focal) -> np.ndarray:
@@ -167,15 +178,21 @@ def _on_walls(share) -> np.ndarray:
     return np.array([0.1, 2 * (length + width) - along])
 
 
-def _waved_path(rng, frames) -> np.ndarray:
-    """A smooth walk of a hand-held light through the room, m."""
+def _waved_path(rng, frames, stride) -> Callable[[np.ndarray], np.ndarray]:
+    """A smooth walk of a hand-held light through the room: places (m) at any moments, in frames."""
     from scipy.interpolate import CubicSpline
 
-    knots = max(6, frames // 6)
+    knots = max(6, frames // stride)
     low, high = ROOM_M * 0.1, ROOM_M * [0.9, 0.9, 0.75]
-    places = rng.uniform(low, high, (knots, 3))
-    path = CubicSpline(np.linspace(0.0, 1.0, knots), places)(np.linspace(0.0, 1.0, frames))
-    return np.clip(path, 0.05, ROOM_M - 0.05)
+    path = CubicSpline(np.linspace(0.0, frames - 1.0, knots), rng.uniform(low, high, (knots, 3)))
+    return lambda moments: np.clip(path(moments), 0.05, ROOM_M - 0.05)
+
+
+def _seen_by_each(lens, shown) -> tuple[np.ndarray, np.ndarray]:
+    """As `_project`, of the points (F, C, 3) that each camera shows."""
+    each = [_project([part[c : c + 1] for part in lens], shown[:, c]) for c in range(shown.shape[1])]
+    pixels, inside = zip(*each)
+    return np.concatenate(pixels, axis=1), np.concatenate(inside, axis=1)
 
 
 def _project(lens, points) -> tuple[np.ndarray, np.ndarray]:
@@ -201,8 +218,11 @@ def _folds_before(k1, k2, square) -> np.ndarray:
     return 1 + 3 * k1 * inner + 5 * k2 * inner**2 <= 0.05
 
 
-def _displaced(rng, lens, point, exact, camera, other, noise) -> np.ndarray:
-    """A grossly wrong pixel, more than 10 `noise` off: anywhere, or along the epipolar line of camera `other`."""
+def _displaced(rng, lens, shown, exact, camera, other, noise) -> np.ndarray:
+    """A grossly wrong pixel, more than 10 `noise` off: anywhere, or along the epipolar line of camera `other`.
+
+    `shown` (C, 3) is what each camera shows.
+    """
     size = np.array(IMAGE_PX, dtype=float)
     for _ in range(200):
         if other is None:
@@ -211,7 +231,7 @@ def _displaced(rng, lens, point, exact, camera, other, noise) -> np.ndarray:
             pixel = exact + reach * np.array([np.cos(angle), np.sin(angle)])
         else:
             source = -lens[3][other].T @ lens[4][other]
-            moved = source + (point - source) * np.exp(rng.normal(0.0, 0.4))
+            moved = source + (shown[other] - source) * np.exp(rng.normal(0.0, 0.4))
             pixels, in_view = _project(lens, moved[None])
             if not in_view[0, camera]:
                 continue

@@ -1,0 +1,52 @@
+"""Cameras that are out of step: Brown's camera and one number more, its time offset (frames).
+
+The light is where the camera saw it `offset` frames later than the common clock says; the observation moves there
+along its own image velocity and acceleration, which stand beside the pixel: six numbers an observation.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from jaxpoint.calibration.bundle import SIZE, BrownModel
+from jaxpoint.calibration.schur import AbstractModel
+
+OFFSET = SIZE  # place of the offset among a camera's numbers
+MOST_FRAMES = 0.5  # in a step
+
+
+class OffsetModel(AbstractModel):
+    """Residual: the projected pixel minus the observed one moved to the common clock (px)."""
+
+    camera_size: ClassVar[int] = SIZE + 1
+    residual_size: ClassVar[int] = 2
+    base: BrownModel = BrownModel()
+
+    def state(self, cameras, constants):
+        """The state of the synchronised model, and the offsets."""
+        return self.base.state(cameras[:, :SIZE], constants), cameras[:, OFFSET]
+
+    def residual(self, state, moved, point, pixel):
+        """Projected minus moved, px."""
+        camera, offset = state
+        return self.base.residual(camera, moved[:SIZE], point, _moved(pixel, offset + moved[OFFSET]))
+
+    def columns(self, state, point, pixel):
+        """Those of the synchronised model; an offset takes the velocity from the residual."""
+        camera, offset = state
+        residual, for_camera, for_point = self.base.columns(camera, point, _moved(pixel, offset))
+        velocity = pixel[2:4] + offset * pixel[4:6]
+        for_camera = tuple((*row, -velocity[i]) for i, row in enumerate(for_camera))
+        return residual, for_camera, for_point
+
+    def retract(self, cameras, constants, step):
+        """As the synchronised model; offsets change by half a frame at most."""
+        rest = self.base.retract(cameras[:, :SIZE], constants, step[:, :SIZE])
+        offset = cameras[:, OFFSET:] + jnp.clip(step[:, OFFSET:], -MOST_FRAMES, MOST_FRAMES)
+        return jnp.concatenate([rest, offset], axis=1)
+
+
+def _moved(pixel, frames):
+    return pixel[:2] + frames * pixel[2:4] + 0.5 * frames**2 * pixel[4:6]

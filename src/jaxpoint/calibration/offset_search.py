@@ -1,0 +1,150 @@
+"""By how much cameras are out of step, before anything is calibrated: the offsets at which pairs of views agree.
+
+A pair's epipolar geometry holds for pixels of the same moment only, so the share of matches that fit it is highest
+at the right offset (Albl et al., "On the two-view geometry of unsynchronized cameras", CVPR 2017, solve for both at
+once; here offsets are tried on a grid, which cannot end in a wrong minimum nearby).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, fit_pair, normalised, pair_threshold
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config import EpipolarSettings
+from jaxpoint.motion import motion, on_clock
+from jaxpoint.tracks import Tracks
+
+REACH = 5  # frames: pairs are tried from as much before to as much after
+PARTNERS = 3  # pairs tried for each camera: those that share most frames with it
+MOST_FRAMES = 2000  # of a longer recording every n-th are compared
+SAMPLES = 128  # minimal samples a pair and offset: fewer than for the geometry itself, but it is fitted 17 times
+ROUNDS = 20  # of reweighting
+
+
+@dataclass(frozen=True)
+class PairOffset:
+    """How much later camera `second` shows the light than camera `first`, as their epipolar geometry has it."""
+
+    first: int
+    second: int
+    frames: float
+    fit: float  # 0..1, share of the matches that fit there, near ones counting most
+    fit_in_step: float  # and without any offset
+
+
+def pair_offsets(
+    tracks: Tracks,
+    settings: EpipolarSettings,
+    seed: int,
+    intrinsics: CameraRig | None = None,
+    partners: int = PARTNERS,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[PairOffset]:
+    """The offset of every camera against those with which it shares most frames. Computed in float64.
+
+    Args:
+        partners: with how many others each camera is tried; with 1 each is reached once, the fastest way.
+    """
+    with jax.enable_x64(True):
+        return _pair_offsets(tracks, settings, seed, intrinsics, partners, progress or _silent)
+
+
+def _silent(done: int, total: int) -> None:
+    """No progress is shown."""
+
+
+def _pair_offsets(tracks: Tracks, settings, seed, intrinsics, partners, progress) -> list[PairOffset]:
+    pairs = _chosen_pairs(tracks, settings.min_shared_frames, partners)
+    if not pairs:
+        return []
+    rows = np.arange(0, tracks.frames, -(-tracks.frames // MOST_FRAMES))
+    moving = motion(tracks.pixels, tracks.visible, tracks.frame_ids)
+    moved: dict[float, NormalisedTracks] = {}
+
+    def at(offset: float) -> NormalisedTracks:
+        if offset not in moved:
+            clock = on_clock(tracks, moving, np.full(tracks.cameras, offset))
+            moved[offset] = normalised(clock.applied(tracks).select_frames(rows), intrinsics)
+        return moved[offset]
+
+    settings = replace(settings, samples=min(settings.samples, SAMPLES))
+    lenses = FIRST_LENSES if intrinsics is None else np.zeros_like(FIRST_LENSES)
+    found = []
+    for number, pair in enumerate(pairs):
+        found.append(_searched(at, pair, settings, np.random.default_rng(seed), lenses))
+        progress(number + 1, len(pairs))
+    return found
+
+
+def _chosen_pairs(tracks: Tracks, least: int, partners: int) -> list[tuple[int, int]]:
+    """A tree of the pairs that share most frames, which reaches every camera, and every camera's best partners."""
+    shared = tracks.visible.T.astype(int) @ tracks.visible.astype(int)
+    np.fill_diagonal(shared, 0)
+    best = np.argsort(-shared, axis=1, kind="stable")[:, :partners]
+    pairs = {(min(i, int(j)), max(i, int(j))) for i, row in enumerate(best) for j in row} if partners > 1 else set()
+    reached = {0}
+    while len(reached) < tracks.cameras:
+        edges = [(shared[i, j], -i, -j) for i in reached for j in range(tracks.cameras) if j not in reached]
+        _, i, j = max(edges)
+        reached.add(-j)
+        pairs.add((min(-i, -j), max(-i, -j)))
+    return sorted(pair for pair in pairs if shared[pair] >= least)
+
+
+def _searched(at, pair, settings: EpipolarSettings, rng: np.random.Generator, lenses) -> PairOffset:
+    """Whole frames first, then halves and quarters about the best, then the top of the parabola through three."""
+    first, second = pair
+    fits: dict[float, float] = {}
+
+    def tried(offset: float) -> float:
+        if offset not in fits:
+            fits[offset] = _fit(at(0.0), at(offset), pair, settings, rng, lenses)
+        return fits[offset]
+
+    best = max((float(k) for k in range(-REACH, REACH + 1)), key=tried)
+    for step in (0.5, 0.25):
+        best = max((best - step, best, best + step), key=tried)
+    left, middle, right = tried(best - 0.25), tried(best), tried(best + 0.25)
+    bend = left - 2.0 * middle + right
+    top = best + 0.25 * float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else best
+    return PairOffset(first, second, top, middle, tried(0.0))
+
+
+def _fit(still: NormalisedTracks, moved: NormalisedTracks, pair, settings, rng, lenses) -> float:
+    """Share of the matches that the pair's best epipolar geometry explains."""
+    first, second = pair
+    points, visible = still.points.copy(), still.visible.copy()
+    points[:, second], visible[:, second] = moved.points[:, second], moved.visible[:, second]
+    seen = visible[:, first] & visible[:, second]
+    if seen.sum() < settings.min_shared_frames:
+        return 0.0
+    threshold = LOOSE * pair_threshold(still, pair, settings)
+    found = fit_pair(replace(still, points=points, visible=visible), pair, settings, rng, lenses, threshold)
+    errors = np.asarray(found.error)[seen]
+    return float(np.maximum(0.0, 1.0 - (errors / threshold) ** 2).mean())
+
+
+def joint_offsets(found: list[PairOffset], cameras: int) -> Float[np.ndarray, " C"]:
+    """The offsets (frames) against the first camera on which the pairs agree best; least absolute differences.
+
+    A camera that no pair reaches stands at 0.
+    """
+    if not found:
+        return np.zeros(cameras)
+    rows = np.arange(len(found))
+    design = np.zeros((len(found), cameras))
+    design[rows, [pair.second for pair in found]] = 1.0
+    design[rows, [pair.first for pair in found]] = -1.0
+    wanted, fits = np.array([pair.frames for pair in found]), np.array([pair.fit for pair in found])
+    weights, offsets = fits, np.zeros(cameras)
+    for _ in range(ROUNDS):
+        root = np.sqrt(weights)
+        offsets = np.linalg.lstsq(design * root[:, None], wanted * root, rcond=None)[0]
+        weights = fits / np.maximum(np.abs(design @ offsets - wanted), 0.05)
+    return offsets - offsets[0]

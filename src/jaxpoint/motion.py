@@ -1,0 +1,137 @@
+"""How the light moves in each image, and where each camera would have seen it a fraction of a frame later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.tracks import Tracks
+
+REACH = 4  # frames to either side from which the motion at a frame is taken,
+SIDE = 3  # but from no more than these nearest ones
+MAX_GAIN = 1.5  # a moved pixel noisier than this many times a plain one is not used
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The light's velocity and acceleration in each image, by a local cubic (where few frames show it, a parabola).
+
+    Both are weighted sums of the pixels of neighbouring frames; the weights say how noise passes on.
+    """
+
+    velocity: Float[np.ndarray, "F C 2"]  # px per frame; zero where not known
+    acceleration: Float[np.ndarray, "F C 2"]  # px per frame^2
+    velocity_weights: Float[np.ndarray, "F C W"]  # of the pixels REACH rows before to REACH rows after
+    acceleration_weights: Float[np.ndarray, "F C W"]
+    known: Bool[np.ndarray, "F C"]
+
+    def gain(self, rows: Int[np.ndarray, "G C"], ahead: Float[np.ndarray, "G C"]) -> Float[np.ndarray, "G C"]:
+        """Standard deviation of the pixels of these rows, moved so many frames, over that of plain ones.
+
+        Infinite where the motion is not known, unless nothing moves.
+        """
+        every = np.arange(rows.shape[1])[None]
+        by = ahead[..., None]
+        weights = by * self.velocity_weights[rows, every] + 0.5 * by**2 * self.acceleration_weights[rows, every]
+        weights[..., REACH] += 1.0
+        return np.where(self.known[rows, every] | (ahead == 0), np.sqrt((weights**2).sum(axis=-1)), np.inf)
+
+
+def motion(
+    pixels: Float[np.ndarray, "F C 2"], usable: Bool[np.ndarray, "F C"], frame_ids: Int[np.ndarray, " F"]
+) -> Motion:
+    """The motion at every row of the tracks, from the nearest usable pixels before and after it.
+
+    Known where a usable pixel lies within reach before and after. In a recording thinned to every n-th frame the
+    reach is as many of those.
+    """
+    step = frame_step(frame_ids)
+    around = np.arange(-REACH, REACH + 1)
+    rows = np.arange(len(frame_ids))[:, None] + around
+    inside = (rows >= 0) & (rows < len(frame_ids))
+    rows = np.clip(rows, 0, len(frame_ids) - 1)
+    ahead = (frame_ids[rows] - frame_ids[:, None]) / step  # (F, W), in steps
+    near = inside & (np.abs(ahead) <= REACH)
+    used = near[:, None] & np.moveaxis(usable[rows], 1, 2)  # (F, C, W)
+    used[..., :REACH] &= np.cumsum(used[..., REACH - 1 :: -1], axis=-1)[..., ::-1] <= SIDE
+    used[..., REACH + 1 :] &= np.cumsum(used[..., REACH + 1 :], axis=-1) <= SIDE
+    before, after = used[..., :REACH].sum(axis=-1), used[..., REACH + 1 :].sum(axis=-1)
+    count = used.sum(axis=-1)
+    known = (before >= 1) & (after >= 1) & (count >= 3)
+    cubic = known & (before >= 2) & (after >= 2) & (count >= 5)
+    first, second = _derivative_weights(ahead, used, known, cubic)
+    # From the pixel itself, so that a light at rest has no motion at all.
+    around_pixels = np.moveaxis(pixels[rows], 1, 2) - pixels[:, :, None]  # (F, C, W, 2)
+    velocity, acceleration = ((part[..., None] * around_pixels).sum(axis=2) for part in (first, second))
+    return Motion(velocity / step, acceleration / step**2, first / step, second / step**2, known)
+
+
+def _derivative_weights(ahead, used, known, cubic) -> tuple[np.ndarray, np.ndarray]:
+    """Weights (F, C, W) of the first and second derivative at 0 of the polynomial through the used neighbours."""
+    powers = ahead[..., None] ** np.arange(4)  # (F, W, 4)
+    powers = np.where(used[..., None], powers[:, None], 0.0)
+    powers = np.where(np.stack([known, known, known, cubic], axis=-1)[:, :, None], powers, 0.0)
+    normal = np.einsum("fcwi,fcwj->fcij", powers, powers)
+    idle = np.diagonal(normal, axis1=2, axis2=3) == 0
+    normal += idle[..., None] * np.eye(4)
+    solved = np.linalg.solve(normal, np.moveaxis(powers, 2, 3))  # (F, C, 4, W)
+    return solved[:, :, 1], 2.0 * solved[:, :, 2]
+
+
+def frame_step(frame_ids: Int[np.ndarray, " F"]) -> float:
+    """Frames of the recording from one row of the tracks to the next, as a rule."""
+    return float(np.median(np.diff(frame_ids))) if len(frame_ids) > 1 else 1.0
+
+
+@dataclass(frozen=True)
+class OnClock:
+    """Every camera's pixel nearest to each row's moment on the common clock, and what moves it there."""
+
+    rows: Int[np.ndarray, "F C"]  # of the camera's own frames
+    ahead: Float[np.ndarray, "F C"]  # frames from that pixel to the moment, at most half a step
+    pixels: Float[np.ndarray, "F C 2"]  # moved to the moment
+    velocity: Float[np.ndarray, "F C 2"]  # px per frame, then
+    acceleration: Float[np.ndarray, "F C 2"]
+    visible: Bool[np.ndarray, "F C"]  # False also where the motion is not known well enough
+
+    def applied(self, tracks: Tracks) -> Tracks:
+        """The tracks on the common clock."""
+        return Tracks(self.pixels, self.visible, tracks.image_sizes, tracks.frame_ids, tracks.times, tracks.names)
+
+    def back(self, values: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
+        """What holds for a pixel on the common clock, written at the camera's own frame; False where none was used."""
+        own = np.zeros_like(values)
+        frame, camera = np.nonzero(self.visible & values)
+        own[self.rows[frame, camera], camera] = True
+        return own
+
+
+def on_clock(tracks: Tracks, moving: Motion, offsets: Float[np.ndarray, " C"]) -> OnClock:
+    """Each camera's pixels at the moments of the common clock, when camera c shows it `offsets[c]` frames late."""
+    ids = tracks.frame_ids.astype(float)
+    wanted = ids[:, None] + offsets
+    after = np.clip(np.searchsorted(ids, wanted), 1, len(ids) - 1)
+    rows = np.where(wanted - ids[after - 1] <= ids[after] - wanted, after - 1, after)
+    ahead = wanted - ids[rows]
+    every = np.arange(tracks.cameras)[None]
+    near = np.abs(ahead) <= 0.5 * frame_step(tracks.frame_ids) + 1e-9
+    visible = tracks.visible[rows, every] & near & (moving.gain(rows, ahead) <= MAX_GAIN)
+    velocity, bend = moving.velocity[rows, every], moving.acceleration[rows, every]
+    by = ahead[..., None]
+    pixels = tracks.pixels[rows, every] + by * velocity + 0.5 * by**2 * bend
+    shown = visible[..., None]
+    return OnClock(
+        rows,
+        ahead,
+        np.where(shown, pixels, 0.0),
+        np.where(shown, velocity + by * bend, 0.0),
+        np.where(shown, bend, 0.0),
+        visible,
+    )
+
+
+def moved_to_clock(tracks: Tracks, offsets: Float[np.ndarray, " C"]) -> Tracks:
+    """The tracks on the common clock, all observations taken as good."""
+    return on_clock(tracks, motion(tracks.pixels, tracks.visible, tracks.frame_ids), offsets).applied(tracks)
