@@ -303,7 +303,7 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
     seen = np.asarray(measured.weights) > 0
     pixels, visible = (np.concatenate(pair) for pair in ((measured.light, measured.pixels), (seen, chain.visible)))
     points = np.asarray(triangulate(rig, pixels, visible, covariance=False).points)
-    light, ends = points[: len(seen)], points[len(seen) :]
+    light, arm = points[: len(seen)], points[len(seen) :]
     cameras = np.asarray(rig.positions)
     flat = from_above(question, np.concatenate([cameras, light[seen.sum(axis=1) >= 2]]))
     with style():
@@ -321,7 +321,7 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
                 name, place, (0, 9 if up else -18), textcoords="offset points", color=INK, weight="bold", ha="center"
             )
         draw_landmarks(ax, question, rows, flat)
-        draw_line(ax, question, flat(light[list(question.legs)] if question.legs else ends))
+        draw_line(ax, question, flat(light[list(question.legs)] if question.legs else arm))
         unit = "m" if question.unit == "m" else "solver's unit"
         ax.set(aspect="equal", xlabel=f"x, {unit}", ylabel=f"y, {unit}")
         ax.margins(0.08)

@@ -207,7 +207,10 @@ def test_influence_is_what_solving_again_shows(free_room, tmp_path):
         row = some[0] = influence.checked(question, solve, np.asarray(solved.value), some[0])
         assert row.nearby == pytest.approx(row.degrees, rel=0.05), kind
         assert (row.left_out is None) == (kind != "light")
-    influence.picture(question, solved.rig, rows, 1).savefig(tmp_path / "influence.png")
+    drawn = influence.picture(question, solved.rig, rows, 1)
+    drawn.savefig(tmp_path / "influence.png")
+    (arm,) = (line for line in drawn.axes[0].lines if line.get_label() == "arm")
+    assert np.linalg.norm(np.diff(np.asarray(arm.get_xydata()), axis=0)) < 1.1 * influence.ARM_M
     text = influence.markdown(question, rows, influence.budget(question, solved.slopes), 1)
     assert f"the {rows['landmarks'][0].name} (" in text
     assert text.count("\n|") == 6
