@@ -307,7 +307,7 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
     cameras = np.asarray(rig.positions)
     flat = from_above(question, np.concatenate([cameras, light[seen.sum(axis=1) >= 2]]))
     with style():
-        figure = Figure(figsize=(9.0, 6.2), layout="constrained")
+        figure = Figure(figsize=(9.0, 6.6), layout="constrained")
         ax = figure.add_subplot()
         draw_light(figure, ax, flat(light), rows["light"])
         for rank, row in enumerate(rows["light"][:top]):
@@ -325,7 +325,8 @@ def picture(question: Question, rig: CameraRig, rows: dict[str, list[Row]], top:
         unit = "m" if question.unit == "m" else "solver's unit"
         ax.set(aspect="equal", xlabel=f"x, {unit}", ylabel=f"y, {unit}")
         ax.margins(0.08)
-        ax.set_title(f"What turns {question.what} (from above)")
+        seen_from = "from above" if len(measured.landmarks) else "on the rig's two longest axes"
+        ax.set_title(f"What turns {question.what} ({seen_from})")
         figure.legend(loc="outside lower center", ncols=4)
     return figure
 
