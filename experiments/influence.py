@@ -283,7 +283,7 @@ def main(options: Influences) -> None:
         text = markdown(question, rows, budget(question, solved.slopes), options.top)
         options.out.write_text(text)
         picture(question, solved.rig, rows, options.top).savefig(
-            options.out.with_suffix(".png"), dpi=120, facecolor="white"
+            options.out.with_suffix(".png"), dpi=120, facecolor="white", bbox_inches="tight"
         )
     sys.stdout.write(text)
 
