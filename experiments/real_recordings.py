@@ -24,7 +24,7 @@ from jaxpoint.calibration.alignment import align_to_landmarks, umeyama
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.calibration import read_camera_array
-from jaxpoint.io.tracks import read_caliscope_corners
+from jaxpoint.io.tracks import MOMENTS, read_caliscope_corners
 
 Row = tuple[str, str, str, str]
 
@@ -130,13 +130,18 @@ def charuco(data: Path) -> Iterator[Row]:
     tracks = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
     theirs = read_camera_array(folder / "camera_array.toml").rig
     theirs = theirs.select([theirs.names.index(name) for name in tracks.names])
-    found = calibrate(tracks, CalibrateSettings(lens=LensSettings(known="hold")), intrinsics=theirs)
-    scale = float(umeyama(np.asarray(found.rig.positions), np.asarray(theirs.positions)).scale)
-    edges = board_edges(found, scale)
-    text = f"{edges.mean():.2f} mm, sd {edges.std():.2f}, n = {len(edges)}"
-    yield "caliscope_charuco4, lenses held", "board edges of 54 mm", "53.8 mm, sd 0.8, n = 923", text
-    errors = found.errors[tracks.visible]
-    yield "", "mean reprojection over all", "1.36 px", f"{errors.mean():.3f} px"
+    for offsets, what in ((False, "lenses held"), (True, "lenses held, `--time-offsets`")):
+        settings = CalibrateSettings(lens=LensSettings(known="hold"), time_offsets=offsets)
+        found = calibrate(tracks, settings, intrinsics=theirs)
+        scale = float(umeyama(np.asarray(found.rig.positions), np.asarray(theirs.positions)).scale)
+        edges = board_edges(found, scale)
+        text = f"{edges.mean():.2f} mm, sd {edges.std():.2f}, n = {len(edges)}"
+        yield f"caliscope_charuco4, {what}", "board edges of 54 mm", "53.8 mm, sd 0.8, n = 923", text
+        errors = found.errors[found.tracks.visible]
+        yield "", "mean reprojection over all", "1.36 px", f"{errors.mean():.3f} px"
+        if found.time_offsets is not None:
+            late = " ".join(f"{value:+.3f}" for value in found.time_offsets.frames)
+            yield "", "offsets, frames", "-", late
 
 
 def board_edges(found: Calibration, scale: float) -> np.ndarray:
@@ -145,10 +150,9 @@ def board_edges(found: Calibration, scale: float) -> np.ndarray:
     points = {i: point for i, point, ok in zip(ids, found.points, found.point_valid) if ok}
     lengths = []
     for corner, point in points.items():
-        key = corner % 10_000
-        for step in ([1] if key % 3 < 2 else []) + [3]:
-            if corner + step in points:
-                lengths.append(np.linalg.norm(point - points[corner + step]))
+        for step in ([1] if corner // MOMENTS % 3 < 2 else []) + [3]:
+            if corner + step * MOMENTS in points:
+                lengths.append(np.linalg.norm(point - points[corner + step * MOMENTS]))
     return 1000.0 * scale * np.array(lengths)
 
 

@@ -157,7 +157,7 @@ def test_caliscope_corners(data_folder):
     assert tracks.visible.sum() == 2175  # its README
     assert tracks.frames == 660
     assert (tracks.image_sizes == [1280, 720]).all()
-    first = tracks.frame_ids.tolist().index(35 * 10_000 + 4)
+    first = tracks.frame_ids.tolist().index(4 * 1_000_000 + 35)
     np.testing.assert_allclose(tracks.pixels[first, 0], [628.250977, 213.715607])
     assert read_tracks(path, image_sizes=(640, 480)).image_sizes[0].tolist() == [640, 480]
 

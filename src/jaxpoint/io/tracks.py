@@ -175,8 +175,9 @@ def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSize
 def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None) -> Tracks:
     """Corners of a board as caliscope writes them (`xy_CHARUCO.csv`), each one a "frame" of its own.
 
-    Frame ids are `sync_index * 10_000 + keypoint_id`; cameras are named cam_<id>. The image sizes come from
-    `image_sizes` or a `camera_array.toml` in this folder or one of the three above it.
+    Frame ids are `keypoint_id * 1_000_000 + sync_index`, so that the moments of a corner follow one another and its
+    motion can be seen; cameras are named cam_<id>. The image sizes come from `image_sizes` or a `camera_array.toml` in
+    this folder or one of the three above it.
 
     Raises:
         FileFormatError: a missing column or value, a corner twice, a board beside another, or no image size.
@@ -184,14 +185,14 @@ def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None)
     rows = read_table(path, CORNER_COLUMNS)
     for row in rows:
         row.values["camera"] = f"cam_{row.integer('cam_id')}"
-        if not 0 <= row.integer("keypoint_id") < CORNER_STRIDE:
-            raise row.error(f"keypoint_id must lie in 0..{CORNER_STRIDE - 1}.")
+        if not 0 <= row.integer("sync_index") < MOMENTS:
+            raise row.error(f"sync_index must lie in 0..{MOMENTS - 1}.")
     if len({row.values.get("object_id") for row in rows}) > 1:
         raise FileFormatError(f"{path} holds several boards (object_id); keep the lines of one.")
     if image_sizes is None:
         image_sizes = _camera_array_sizes(Path(path), {row.values["camera"] for row in rows})
     order, sizes = _sizes_of(path, rows, image_sizes)
-    frames = [row.integer("sync_index") * CORNER_STRIDE + row.integer("keypoint_id") for row in rows]
+    frames = [row.integer("keypoint_id") * MOMENTS + row.integer("sync_index") for row in rows]
     frame_ids = sorted(set(frames))
     pixels = _scatter(rows, frames, frame_ids, order, ("img_loc_x", "img_loc_y"))
     return Tracks.from_pixels(
@@ -199,7 +200,7 @@ def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None)
     )
 
 
-CORNER_STRIDE = 10_000  # more corners than any board has
+MOMENTS = 1_000_000  # more than any recording of a board has
 
 
 def _camera_array_sizes(path: Path, cameras: set[str]) -> dict[str, tuple[int, int]] | None:
