@@ -162,7 +162,7 @@ def test_gauss_newton_alone_would_be_wrong():
 
     end, step, change, exact, gauss_newton = moving(direction)
     points_seen = jnp.broadcast_to(seen.any(axis=1), start.points.shape)
-    free = np.asarray(ravel_pytree(Unknowns(problem.free, points_seen))[0]).astype(bool)
+    free = np.asarray(ravel_pytree(Unknowns(problem.free.astype(float), points_seen.astype(float)))[0]).astype(bool)
 
     def by_dense(hessian):
         return -np.linalg.solve(np.asarray(hessian)[np.ix_(free, free)], np.asarray(change)[free])
