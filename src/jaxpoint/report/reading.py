@@ -6,9 +6,12 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.calibration.result import Calibration
+from jaxpoint.camera.distortion import AbstractDistortion
+from jaxpoint.compilation import jit_once
+from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.report.summary import Lens, Scene, Summary
 
 _STEPS = 400
@@ -30,7 +33,7 @@ def summarise(calibration: Calibration) -> Summary:
 
     def distort(places: np.ndarray) -> np.ndarray:
         with jax.enable_x64(True):
-            return np.asarray(jax.vmap(lambda lens, xy: lens.distort(xy))(cameras.distortion, places))
+            return np.asarray(_distorted(cameras.distortion, places))
 
     return Summary(
         names=tracks.names,
@@ -53,6 +56,11 @@ def summarise(calibration: Calibration) -> Summary:
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
     )
+
+
+@jit_once
+def _distorted(lenses: AbstractDistortion, places: Float[AnyArray, "C N 2"]) -> Float[Array, "C N 2"]:
+    return jax.vmap(lambda lens, xy: lens.distort(xy))(lenses, places)
 
 
 def pixel_slopes(
