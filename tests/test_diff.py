@@ -1,6 +1,7 @@
 """`jaxpoint diff`: what it prints and writes, and what it refuses."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -69,6 +70,15 @@ def test_the_same_run_is_consistent_with_itself(runs, capsys):
     figures = json.loads(out)
     assert (code, figures["consistent"], figures["culprits"]) == (0, True, [])
     assert figures["points_rms"] < 1e-5
+
+
+def test_a_run_that_was_marked_is_said_to_be(runs, tmp_path, capsys):
+    shutil.copytree(runs[0] / "second", tmp_path / "marked")
+    metrics = tmp_path / "marked" / "metrics.json"
+    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {"failure": "it did not settle"}))
+    _, out, _ = run(runs[0] / "first", tmp_path / "marked", capsys=capsys)
+    assert f"'{tmp_path / 'marked'}' was marked when it was made: it did not settle" in out
+    assert f"'{runs[0] / 'first'}' was marked" not in out
 
 
 def test_files_without_covariance_still_differ(runs, tmp_path, capsys):

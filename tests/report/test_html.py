@@ -10,12 +10,13 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.report.html import write_detection_section, write_report, write_tracks_report
-from jaxpoint.report.style import short_names
+from jaxpoint.report.style import short_names, to_svg
 from jaxpoint.tracks import Tracks
 
 VOID = {"meta", "img", "br"}
@@ -169,3 +170,11 @@ def test_short_names_stay_different():
     long = ("the door in the north wall", "window to the south garden")
     assert len(set(short_names(long))) == 2
     assert max(map(len, short_names(long))) <= 14
+
+
+def test_numbers_in_a_figure_are_not_cut():
+    figure = Figure()
+    figure.text(0.123456, 0.5, "0.0015 and 0.123456")
+    svg = to_svg(figure)
+    assert "0.0015 and 0.123456" in svg
+    assert not re.search(r"<[^>]*\d\.\d{4}", svg)

@@ -114,6 +114,7 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         notes.append(f"No comparison with the uncertainties is possible: {missing}")
     if set(one.provenance.get("inputs", {}).values()) & set(other.provenance.get("inputs", {}).values()):
         notes.append("Both come from the same input, so their errors are alike: expect less than is allowed.")
+    notes += [f"'{path}' was marked when it was made: {why}" for path in (first, second) if (why := _marked(path))]
     if one.unit != "m":
         notes.append(f"Lengths are in thousandths of the unit of '{first}'; align it to have mm.")
     return Compared(found, "mm" if one.unit == "m" else "thousandths", tuple(notes))
@@ -127,6 +128,14 @@ def _uncompared(first: Path, one: SavedCalibration, second: Path, other: SavedCa
         if not align and saved.gauge != "landmarks":
             return f"'{path}' does not say how well its frame is known; align it by landmarks, or leave out --no-align."
     return ""
+
+
+def _marked(path: Path) -> str | None:
+    """Why a run did not pass, if it is one and did not."""
+    from jaxpoint.runs import read_json
+
+    metrics = path / "metrics.json"
+    return read_json(metrics).get("failure") if metrics.is_file() else None
 
 
 def _of(saved: SavedCalibration, names: list[str]) -> np.ndarray:

@@ -60,7 +60,7 @@ _TIDY = (
     (r" xlink:href=", " href="),
     (r" font-family: [^;\"]*;", ""),
     (r' transform="rotate\(-0 [^"]*"', ""),
-    (r"(\d\.\d{3})\d+", r"\1"),
+    (r"(\d\.\d{3})\d+(?=[^<>]*>)", r"\1"),  # of coordinates, not of what is written
     (r"\s*\n\s*", "\n"),
 )
 
