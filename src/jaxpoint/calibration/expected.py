@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.calibration.sight import centres, covariance_of_points, derivatives_perturbed, in_view
+from jaxpoint.calibration.sight import centres, covariance_of_points, cross_terms, derivatives_perturbed, in_view
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.triangulation import MIN_PARALLAX
 
@@ -154,8 +154,7 @@ def moved_by_cameras(
     """Derivatives of triangulated places by the cameras' numbers (B, 3, D), and their covariance for pixels of 1."""
     by_camera, by_point = derivatives_perturbed(rig, places, seen)
     own = covariance_of_points(by_point, seen)
-    cross = (np.swapaxes(by_point, 2, 3) @ by_camera).transpose(0, 2, 1, 3).reshape(len(places), 3, -1)
-    return -own @ cross, own
+    return -own @ cross_terms(by_camera, by_point), own
 
 
 def _trace(moved: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -69,7 +69,7 @@ def pixel_uncertainty(uncertainty: Uncertainty, points: Float[AnyArray, "*batch 
     from the estimate. Only meaningful where the points lie in front of the camera.
     """
     points = as_float(points)
-    blocks = _own_blocks(uncertainty)
+    blocks = uncertainty.own_blocks
 
     def one(camera: Camera, block: Float[Array, "15 15"], point: Float[Array, "3"]) -> tuple[Array, Array]:
         by_numbers = _by_numbers(lambda moved: moved.project(point), camera)
@@ -251,12 +251,6 @@ def _point_derivatives(
 def _by_numbers(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M 15"]:
     """Derivative by the 15 numbers of a camera, in the order of `Camera.perturbed`."""
     return jax.jacfwd(lambda change: function(camera.perturbed(change)))(jnp.zeros(PARAMETERS, camera.focal.dtype))
-
-
-def _own_blocks(uncertainty: Uncertainty) -> Float[Array, "C 15 15"]:
-    """The covariance of every camera by itself."""
-    count = len(uncertainty.rig)
-    return jnp.einsum("cpcq->cpq", uncertainty.covariance.reshape(count, PARAMETERS, count, PARAMETERS))
 
 
 def _variance(uncertainty: Uncertainty, sigma_px) -> Float[Array, ""]:

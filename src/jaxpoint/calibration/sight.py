@@ -62,6 +62,14 @@ def derivatives_perturbed(
     return by_camera @ np.linalg.inv(perturbed_by_numbers(rig)), by_point
 
 
+def cross_terms(
+    by_camera: Float[np.ndarray, "B C 2 15"], by_point: Float[np.ndarray, "B C 2 3"]
+) -> Float[np.ndarray, "B 3 D"]:
+    """J_x^T J_c of the normal equations, from what `derivatives` gives; D = 15 C."""
+    blocks = np.swapaxes(by_point, 2, 3) @ by_camera
+    return blocks.transpose(0, 2, 1, 3).reshape(len(by_point), 3, -1)
+
+
 def covariance_of_points(
     by_point: Float[np.ndarray, "B C 2 3"], seen: Bool[np.ndarray, "B C"]
 ) -> Float[np.ndarray, "B 3 3"]:

@@ -31,7 +31,14 @@ from scipy.special import exp1
 from jaxpoint.calibration.bundle import SIZE
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.sight import centres, covariance_of_points, derivatives, perturbed_by_numbers, poses
+from jaxpoint.calibration.sight import (
+    centres,
+    covariance_of_points,
+    cross_terms,
+    derivatives,
+    perturbed_by_numbers,
+    poses,
+)
 from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
@@ -58,12 +65,16 @@ class Uncertainty(eqx.Module):
         return jnp.sqrt(jnp.maximum(jnp.diagonal(self.covariance), 0.0)).reshape(-1, PARAMETERS)
 
     @property
+    def own_blocks(self) -> Float[Array, "C 15 15"]:
+        """The covariance of every camera by itself."""
+        count = len(self.rig)
+        return jnp.einsum("cpcq->cpq", self.covariance.reshape(count, PARAMETERS, count, PARAMETERS))
+
+    @property
     def centre_covariance(self) -> Float[Array, "C 3 3"]:
         """Covariance of every camera's centre."""
         by_camera = centres_by_numbers(self.rig)
-        blocks = self.covariance.reshape(len(self.rig), PARAMETERS, len(self.rig), PARAMETERS)
-        own = jnp.einsum("cpcq->cpq", blocks)
-        return jnp.einsum("cip,cpq,cjq->cij", by_camera, own, by_camera)
+        return jnp.einsum("cip,cpq,cjq->cij", by_camera, self.own_blocks, by_camera)
 
 
 class Anchors(eqx.Module):
@@ -255,7 +266,7 @@ def _eliminated(
     by_camera, by_point = derivatives(rig, points, seen)
     by_camera = np.where(free[:, None, :], by_camera, 0.0)
     own = covariance_of_points(by_point, seen)
-    cross = (np.swapaxes(by_point, 2, 3) @ by_camera).transpose(0, 2, 1, 3).reshape(len(points), 3, -1)
+    cross = cross_terms(by_camera, by_point)
     per_camera = by_camera.transpose(1, 0, 2, 3).reshape(len(free), -1, SIZE)
     return _Eliminated(cross, -own @ cross, own, np.swapaxes(per_camera, 1, 2) @ per_camera)
 
