@@ -17,7 +17,8 @@ LAYERS = (
     ("camera",),
     ("tracks",),
     ("epipolar", "motion", "triangulation"),
-    ("calibration",),
+    ("calibration", "tracking"),
+    ("pointing",),
     ("landmarks", "metrics"),
     ("validation",),
     ("detect", "io", "report", "simulate"),
@@ -26,7 +27,7 @@ LAYERS = (
     ("cli",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-USES_OPENCV = {"detect", "io", "report"}
+USES_OPENCV = {"detect", "io", "report", "simulate"}
 
 
 def modules() -> list[Path]:

@@ -1,0 +1,39 @@
+"""Settings of every command, and how they are read."""
+
+from jaxpoint.config.loading import checked, load_settings, to_toml
+from jaxpoint.config.room import (
+    AlignSettings,
+    CalibrateSettings,
+    DetectSettings,
+    EpipolarSettings,
+    InputSettings,
+    LedSettings,
+    LensSettings,
+    OutlierSettings,
+    RoomConfig,
+    RuntimeSettings,
+    ValidateSettings,
+    load_config,
+)
+from jaxpoint.config.types import Count, Fraction, Positive
+
+__all__ = [
+    "AlignSettings",
+    "CalibrateSettings",
+    "Count",
+    "DetectSettings",
+    "EpipolarSettings",
+    "Fraction",
+    "InputSettings",
+    "LedSettings",
+    "LensSettings",
+    "OutlierSettings",
+    "Positive",
+    "RoomConfig",
+    "RuntimeSettings",
+    "ValidateSettings",
+    "checked",
+    "load_config",
+    "load_settings",
+    "to_toml",
+]
