@@ -90,7 +90,7 @@ def plan_gesture(
     if np.arctan2(abs(seen[2]), np.hypot(seen[0], seen[1])) > STEEPEST:
         return None
     arm = aim(person, habit, trial, stand, target.place)
-    if arm is None or not _is_possible(person, habit.hand, pose, arm, room):
+    if arm is None or not _is_possible(person, habit.hand, pose, arm, room.without(stance.pelvis)):
         return None
     up, hold, down = draw_times(rng, settings.hold)
     return Gesture(
