@@ -133,7 +133,7 @@ def _stamped(stamps: Timestamps, sources: list[FrameSource], names: tuple[str, .
         beyond = index[:, camera] >= len(source)
         if beyond.any():
             notes.append(
-                f"Camera '{names[camera]}' stops early: no frame in its video for {beyond.sum()} of {len(index)} moments."
+                f"Camera '{names[camera]}' stops early, with no frame at {beyond.sum()} of {len(index)} moments."
             )
             index[beyond, camera] = -1
         dropped = int((stamps.frame_index[:, camera] < 0).sum())

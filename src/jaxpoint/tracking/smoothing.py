@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+
 import jax
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
