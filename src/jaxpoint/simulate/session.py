@@ -1,0 +1,221 @@
+"""A simulated session: six cameras watch people in a room, and the truth is known of every frame.
+
+`simulate_session` builds it from settings and a seed; its frames stream without touching the disk. The same settings
+and seed give the same frames, in whatever order they are asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import UInt8
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config.simulation import FaultSettings, SimulationSettings
+from jaxpoint.simulate.clocks import Clocks, make_clocks
+from jaxpoint.simulate.furniture import NamedObject
+from jaxpoint.simulate.lighting import RoomLight, light_room
+from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh, Part
+from jaxpoint.simulate.people.actor import Actor
+from jaxpoint.simulate.people.floor import Chair, Floor
+from jaxpoint.simulate.people.gesture import Gesture
+from jaxpoint.simulate.people.play import Play, make_play
+from jaxpoint.simulate.render import Drawn, LitPeople, RoomView, draw_people, label_of, light_people, render_room
+from jaxpoint.simulate.scene import Scene, make_scene
+from jaxpoint.simulate.sensor import NoiseField, Sensor, random_sensor
+from jaxpoint.simulate.truth import ViewTruth, view_truth
+from jaxpoint.simulate.viewpoints import Viewpoint, random_viewpoints, rig_of
+
+KEEP_FROM_CAMERA_M = 0.6  # nobody stands closer to a camera than that on the floor plan
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One image and its truth."""
+
+    frame: int  # common moment: sync_index
+    camera: int
+    time_s: float  # of the camera's exposure, which clock errors move off the common moment
+    image: UInt8[np.ndarray, "H W 3"]  # blue, green, red
+    labels: UInt8[np.ndarray, "H W"]  # `Part`, plus PARTS_A_PERSON times the person
+    views: tuple[ViewTruth, ...]  # one a person in the room
+
+
+@dataclass(frozen=True)
+class SimulatedSession:
+    """A room, its cameras, and what happens in it."""
+
+    settings: SimulationSettings
+    seed: int
+    scene: Scene
+    light: RoomLight
+    viewpoints: tuple[Viewpoint, ...]
+    sensors: tuple[Sensor, ...]
+    rooms: tuple[RoomView, ...]  # the empty room as each camera sees it
+    play: Play
+    clocks: Clocks
+    shutter_s: float
+    noise: NoiseField = field(repr=False)
+    _kept: dict[float, LitPeople | None] = field(default_factory=dict, repr=False)
+
+    @property
+    def rig(self) -> CameraRig:
+        """The true cameras, m."""
+        return rig_of(list(self.viewpoints))
+
+    @property
+    def objects(self) -> tuple[NamedObject, ...]:
+        """What can be pointed at."""
+        return self.scene.objects
+
+    @property
+    def gestures(self) -> Sequence[Gesture]:
+        """Who points at what, and when."""
+        return self.play.gestures
+
+    def time_of(self, frame: int) -> float:
+        """Seconds of a common moment."""
+        return frame / self.settings.frames_per_second
+
+    def frame_at(self, time_s: float) -> int:
+        """The common moment nearest to a time."""
+        return round(time_s * self.settings.frames_per_second)
+
+    def frames(
+        self, moments: Sequence[int] | None = None, cameras: Sequence[int] | None = None
+    ) -> Iterator[SimulatedFrame]:
+        """Images in order of time, and of cameras within a moment, that these cameras have of these moments."""
+        for moment in range(self.clocks.moments) if moments is None else moments:
+            for camera in range(len(self.viewpoints)) if cameras is None else cameras:
+                if self.clocks.present[moment, camera]:
+                    yield self.frame(moment, camera)
+
+    def frame(self, moment: int, camera: int) -> SimulatedFrame:
+        """One camera's image of one moment.
+
+        Raises:
+            ValueError: the camera has no image of that moment.
+        """
+        if not self.clocks.present[moment, camera]:
+            raise ValueError(f"Camera {camera} has no image of moment {moment}; see `clocks.present`.")
+        time_s = float(self.clocks.shown_s[moment, camera])
+        shown = self._drawn(camera, time_s)
+        image = self._developed(camera, moment, shown.image, time_s)
+        return SimulatedFrame(moment, camera, time_s, image, shown.labels, self._views(camera, time_s, shown))
+
+    def empty(self, frame: int, camera: int) -> UInt8[np.ndarray, "H W 3"]:
+        """The empty room, recorded before anyone enters; frames count from 0."""
+        time_s = (frame - self.settings.empty_frames) / self.settings.frames_per_second
+        return self._developed(camera, frame - self.settings.empty_frames, self.rooms[camera].image, time_s)
+
+    def present(self, time_s: float) -> list[Actor]:
+        """Who is in the room."""
+        return [actor for actor in self.play.actors if actor.present(time_s)]
+
+    def pointing(self, time_s: float, person: int) -> Gesture | None:
+        """The gesture that a person makes at a time, or the next one; the last one after it."""
+        own = [gesture for gesture in self.play.gestures if gesture.person == person]
+        return next((gesture for gesture in own if gesture.last_s >= time_s), own[-1] if own else None)
+
+    def _drawn(self, camera: int, time_s: float) -> Drawn:
+        people = self._lit(time_s)
+        room = self.rooms[camera]
+        if people is None:
+            return Drawn(room.image, np.zeros(room.image.shape[:2], np.uint8), np.zeros(256, np.int64))
+        return draw_people(self.viewpoints[camera], room, people)
+
+    def _lit(self, time_s: float) -> LitPeople | None:
+        """Everybody at a time, kept until another time is asked for: cameras share it."""
+        if time_s not in self._kept:
+            meshes = self._meshes(time_s)
+            self._kept.clear()
+            self._kept[time_s] = None if meshes is None else light_people(*meshes, self.light)
+        return self._kept[time_s]
+
+    def _meshes(self, time_s: float) -> tuple[Mesh, Mesh] | None:
+        """Everybody when the shutter opens and when it closes."""
+        actors = self.present(time_s)
+        if not actors:
+            return None
+        moments = []
+        for moment in (time_s - self.shutter_s / 2, time_s + self.shutter_s / 2):
+            moments.append(Mesh.joined([actor.mesh(moment if actor.present(moment) else time_s) for actor in actors]))
+        return moments[0], moments[1]
+
+    def _views(self, camera: int, time_s: float, shown: Drawn) -> tuple[ViewTruth, ...]:
+        people = self._lit(time_s)
+        if people is None:
+            return ()
+        return tuple(
+            view_truth(self.viewpoints[camera], people, shown, actor, self.hand(time_s, actor), time_s)
+            for actor in self.present(time_s)
+        )
+
+    def hand(self, time_s: float, actor: Actor) -> str:
+        """The hand with which a person points."""
+        gesture = self.pointing(time_s, actor.person.number)
+        return actor.person.handed if gesture is None else gesture.hand
+
+    def _developed(self, camera: int, moment: int, light: np.ndarray, time_s: float) -> np.ndarray:
+        rng = np.random.default_rng([self.seed, 1, camera, moment + (1 << 20)])
+        return self.sensors[camera].develop(light, self.noise.window(rng), self.brightness(moment, time_s))
+
+    def brightness(self, moment: int, time_s: float) -> float:
+        """Of all lamps together, about 1: flicker from frame to frame and a slow drift."""
+        settings = self.settings.light
+        rng = np.random.default_rng([self.seed, 2, moment + (1 << 20)])
+        phase = np.random.default_rng([self.seed, 3]).uniform(0.0, 2 * np.pi)
+        slow = settings.drift * np.sin(2 * np.pi * time_s / settings.drift_s + phase)
+        return float((1 + slow) * (1 + settings.flicker * np.clip(rng.normal(), -3.0, 3.0)))
+
+
+def simulate_session(settings: SimulationSettings | None = None, seed: int = 0) -> SimulatedSession:
+    """Draw a room, cameras and a play, and render the empty room for every camera.
+
+    Raises:
+        ValueError: the room leaves people no place, or there are more of them than labels.
+    """
+    settings = settings or SimulationSettings()
+    rngs = [np.random.default_rng([seed, 0, i]) for i in range(6)]
+    scene = make_scene(rngs[0], settings.scene)
+    light = light_room(scene)
+    viewpoints = random_viewpoints(rngs[1], settings.viewpoints, scene)
+    rooms = tuple(render_room(view, scene, light) for view in viewpoints)
+    sensors = tuple(
+        _faulty(random_sensor(rngs[2], settings.sensor, room.image), i, settings.faults) for i, room in enumerate(rooms)
+    )
+    play = make_play(rngs[3], settings.people, scene.objects, floor_of(scene, viewpoints))
+    highest = max((actor.person.number for actor in play.actors), default=0)
+    if highest >= 256 // PARTS_A_PERSON:
+        raise ValueError(
+            f"The play has a person number {highest}, and labels know {256 // PARTS_A_PERSON} people; ask for fewer."
+        )
+    moments = round(play.duration_s * settings.frames_per_second)
+    clocks = make_clocks(rngs[4], settings, moments)
+    bounds = settings.sensor.shutter_s
+    shutter = float(rngs[5].uniform(bounds.low, bounds.high))
+    noise = NoiseField(rngs[5], settings.viewpoints.size)
+    return SimulatedSession(
+        settings, seed, scene, light, tuple(viewpoints), sensors, rooms, play, clocks, shutter, noise
+    )
+
+
+def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:
+    """The sensor with what is wrong with it."""
+    factor = dict(faults.exposure_factor).get(camera, 1.0)
+    return replace(sensor, response=sensor.response * np.float32(factor), grey=camera in faults.grey)
+
+
+def floor_of(scene: Scene, viewpoints: Sequence[Viewpoint] = ()) -> Floor:
+    """The floor as people need it; nobody stands right before a camera."""
+    length, width, height = (float(side) for side in scene.size)
+    furniture = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes]
+    near = [
+        (*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0)
+        for view in viewpoints
+    ]
+    chairs = [Chair(*chair.position.tolist(), chair.facing_rad, chair.seat_m) for chair in scene.chairs]
+    obstacles = [tuple(float(value) for value in box) for box in (*furniture, *near)]
+    return Floor((length, width, height), obstacles, chairs, None)
