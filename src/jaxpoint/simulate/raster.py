@@ -62,16 +62,17 @@ def weights_on(
     a, b, c = (corner[:, i] - sample for i in range(3))
     areas = np.stack([_cross(b, c), _cross(c, a), _cross(a, b)], axis=1)
     weights = areas / depth[triangle]
-    return weights / weights.sum(axis=1, keepdims=True)
+    return weights / (weights[:, 0] + weights[:, 1] + weights[:, 2])[:, None]
 
 
 def _drawable(corners, depth, size, both_sides) -> np.ndarray:
     """Indices of the triangles that lie in front, face the eye and touch the image."""
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    with np.errstate(invalid="ignore"):
-        kept = (depth > 0).all(axis=1) & (high >= 0).all(axis=1) & (low <= np.array(size) - 1).all(axis=1)
-        kept &= np.isfinite(corners).all(axis=(1, 2))
-        area = _cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    with np.errstate(invalid="ignore"):  # comparisons with what is not finite are false
+        kept = (high[:, 0] >= 0) & (high[:, 1] >= 0) & (low[:, 0] <= size[0] - 1) & (low[:, 1] <= size[1] - 1)
+        kept &= (depth[:, 0] > 0) & (depth[:, 1] > 0) & (depth[:, 2] > 0)
+        area = _cross(b - a, c - a)
         kept &= (area != 0) if both_sides else (area < 0)
     return np.flatnonzero(kept)
 
@@ -79,8 +80,9 @@ def _drawable(corners, depth, size, both_sides) -> np.ndarray:
 def _samples(corner, depth, size) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Every sample inside each triangle: the triangle's number, the sample's place (y * width + x), 1 / depth."""
     width, height = size
-    first = np.clip(np.ceil(corner[..., 1].min(axis=1)), 0, height).astype(np.int32)
-    last = np.clip(np.floor(corner[..., 1].max(axis=1)), -1, height - 1).astype(np.int32)
+    a, b, c = corner[:, 0, 1], corner[:, 1, 1], corner[:, 2, 1]
+    first = np.clip(np.ceil(np.minimum(np.minimum(a, b), c)), 0, height).astype(np.int32)
+    last = np.clip(np.floor(np.maximum(np.maximum(a, b), c)), -1, height - 1).astype(np.int32)
     span, offset = _repeated(np.maximum(last - first + 1, 0))
     row = first[span] + offset
     left, right = _span_ends(corner, span, row)

@@ -61,7 +61,8 @@ class Drawn:
 
     image: Float[np.ndarray, "H W 3"]  # linear blue, green, red
     labels: UInt8[np.ndarray, "H W"]  # `Part`, plus PARTS_A_PERSON times the person
-    samples: Int[np.ndarray, "256"]  # how many samples each label has
+    pixels: Int[np.ndarray, "256"]  # how many pixels each label has
+    samples: Int[np.ndarray, "256"]  # and how many samples
 
 
 def render_room(view: Viewpoint, scene: Scene, light: RoomLight) -> RoomView:
@@ -108,23 +109,31 @@ def light_people(start: Mesh, end: Mesh, light: RoomLight) -> LitPeople:
 def draw_people(view: Viewpoint, room: RoomView, people: LitPeople) -> Drawn:
     """Draw people into the room: hidden by furniture, shading floor and walls, smeared by their motion."""
     image = room.image.copy()
-    labels = np.zeros(image.shape[:2], np.uint8)
     _cast_shadows(image, room, people)
     start, end = view.project(people.start)[0], view.project(people.end)[0]
     depth = view.project(people.middle)[1].astype(np.float32)
     window = _window(np.concatenate([start, end]), view.size)
     if window is None:
-        return Drawn(image, labels, np.zeros(256, np.int64))
+        return nobody(image)
     x, y, width, height = window
     part, colour, far = _samples(start - (x, y), end - (x, y), depth, people, (width, height))
     hidden = far > room.depth[SAMPLES * y : SAMPLES * (y + height), SAMPLES * x : SAMPLES * (x + width)]
     part[hidden] = 0
+    labels = np.zeros(image.shape[:2], np.uint8)
     covered = part > 0
-    share = _averaged(covered[..., None].astype(np.float32))
+    share = _averaged(covered.astype(np.float32))
+    colour[hidden] = 0.0
     place = np.s_[y : y + height, x : x + width]
-    image[place] = (1 - share) * image[place] + _averaged(np.where(covered[..., None], colour, 0.0))
-    labels[place] = np.where(share[..., 0] >= 0.5, _first(part), 0)
-    return Drawn(image, labels, np.bincount(part.ravel(), minlength=256))
+    image[place] = (1 - share)[..., None] * image[place] + _averaged(colour)
+    labels[place] = np.where(share >= 0.5, _first(part), 0)
+    pixels, samples = (np.bincount(values.ravel(), minlength=256) for values in (labels[place], part))
+    return Drawn(image, labels, pixels, samples)
+
+
+def nobody(image: Float[np.ndarray, "H W 3"]) -> Drawn:
+    """A picture without people."""
+    none = np.zeros(256, np.int64)
+    return Drawn(image, np.zeros(image.shape[:2], np.uint8), none, none)
 
 
 def samples_alone(view: Viewpoint, people: LitPeople, label: int) -> int:
@@ -297,13 +306,16 @@ def _lamp_at(lamp: LightPoint, points: np.ndarray, shape: tuple[int, ...]) -> tu
 
 
 def _mixed(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
-    return np.einsum("ni,nic->nc", weights, values)
+    """Values (N, 3 corners, C) by the weights (N, 3) of their corners."""
+    return (
+        weights[:, :1] * values[:, 0] + weights[:, 1:2] * values[:, 1] + weights[:, 2:] * values[:, 2]
+    )
 
 
 def _averaged(samples: np.ndarray) -> np.ndarray:
     """Pixels of samples."""
-    height, width, channels = samples.shape
-    return samples.reshape(height // SAMPLES, SAMPLES, width // SAMPLES, SAMPLES, channels).mean(axis=(1, 3))
+    height, width = samples.shape[:2]
+    return cv2.resize(samples, (width // SAMPLES, height // SAMPLES), interpolation=cv2.INTER_AREA)
 
 
 def _first(part: np.ndarray) -> np.ndarray:

@@ -41,12 +41,16 @@ class Sensor:
             noise: standard normal numbers.
             brightness: of all lamps at this moment.
         """
-        signal = cv2.multiply(light, self.response, scale=brightness)
+        signal = cv2.multiply(light, self.response, scale=brightness * (LEVELS - 1))
         per_signal, constant = self.variance
-        deviation = cv2.sqrt(np.maximum(signal, 0.0) * np.float32(per_signal) + np.float32(constant))
-        signal += cv2.multiply(deviation, noise)
-        np.clip(signal, 0.0, 1.0, out=signal)
-        image = _GAMMA[(signal * (LEVELS - 1) + 0.5).astype(np.uint16)]
+        variance = cv2.max(signal, 0.0)
+        variance *= np.float32(per_signal * (LEVELS - 1))
+        variance += np.float32(constant * (LEVELS - 1) ** 2)
+        cv2.sqrt(variance, variance)
+        cv2.multiply(variance, noise, variance)
+        cv2.add(signal, variance, signal)
+        np.clip(signal, 0, LEVELS - 1, out=signal)
+        image = _GAMMA.take(signal.astype(np.uint16), mode="clip")
         if self.grey:
             image = cv2.cvtColor(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
         return self.compressed(image)
@@ -98,7 +102,7 @@ class NoiseField:
 
 def _gamma() -> np.ndarray:
     """sRGB (IEC 61966-2-1) of every level."""
-    light = np.linspace(0.0, 1.0, LEVELS)
+    light = (np.arange(LEVELS) + 0.5) / LEVELS
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.rint(255 * srgb).astype(np.uint8)
 

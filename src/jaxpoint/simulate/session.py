@@ -10,19 +10,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings
 from jaxpoint.simulate.clocks import Clocks, make_clocks
 from jaxpoint.simulate.furniture import NamedObject
 from jaxpoint.simulate.lighting import RoomLight, light_room
-from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh, Part
+from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.floor import Chair, Floor
 from jaxpoint.simulate.people.gesture import Gesture
+from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.play import Play, make_play
-from jaxpoint.simulate.render import Drawn, LitPeople, RoomView, draw_people, label_of, light_people, render_room
+from jaxpoint.simulate.render import Drawn, LitPeople, RoomView, draw_people, light_people, nobody, render_room
 from jaxpoint.simulate.scene import Scene, make_scene
 from jaxpoint.simulate.sensor import NoiseField, Sensor, random_sensor
 from jaxpoint.simulate.truth import ViewTruth, view_truth
@@ -44,6 +45,14 @@ class SimulatedFrame:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """Who is in the room at one time."""
+
+    people: LitPeople
+    joints: dict[int, dict[str, Float[np.ndarray, "3"]]]  # m, of each person
+
+
+@dataclass(frozen=True)
 class SimulatedSession:
     """A room, its cameras, and what happens in it."""
 
@@ -58,7 +67,7 @@ class SimulatedSession:
     clocks: Clocks
     shutter_s: float
     noise: NoiseField = field(repr=False)
-    _kept: dict[float, LitPeople | None] = field(default_factory=dict, repr=False)
+    _kept: dict[float, Moment | None] = field(default_factory=dict, repr=False)
 
     @property
     def rig(self) -> CameraRig:
@@ -101,9 +110,11 @@ class SimulatedSession:
         if not self.clocks.present[moment, camera]:
             raise ValueError(f"Camera {camera} has no image of moment {moment}; see `clocks.present`.")
         time_s = float(self.clocks.shown_s[moment, camera])
-        shown = self._drawn(camera, time_s)
+        present, room = self.at(time_s), self.rooms[camera]
+        shown = nobody(room.image) if present is None else draw_people(self.viewpoints[camera], room, present.people)
+        views = () if present is None else self._views(camera, time_s, present, shown)
         image = self._developed(camera, moment, shown.image, time_s)
-        return SimulatedFrame(moment, camera, time_s, image, shown.labels, self._views(camera, time_s, shown))
+        return SimulatedFrame(moment, camera, time_s, image, shown.labels, views)
 
     def empty(self, frame: int, camera: int) -> UInt8[np.ndarray, "H W 3"]:
         """The empty room, recorded before anyone enters; frames count from 0."""
@@ -119,44 +130,38 @@ class SimulatedSession:
         own = [gesture for gesture in self.play.gestures if gesture.person == person]
         return next((gesture for gesture in own if gesture.last_s >= time_s), own[-1] if own else None)
 
-    def _drawn(self, camera: int, time_s: float) -> Drawn:
-        people = self._lit(time_s)
-        room = self.rooms[camera]
-        if people is None:
-            return Drawn(room.image, np.zeros(room.image.shape[:2], np.uint8), np.zeros(256, np.int64))
-        return draw_people(self.viewpoints[camera], room, people)
-
-    def _lit(self, time_s: float) -> LitPeople | None:
-        """Everybody at a time, kept until another time is asked for: cameras share it."""
+    def at(self, time_s: float) -> Moment | None:
+        """Who is in the room at a time, None when nobody is; kept until another time is asked for."""
         if time_s not in self._kept:
-            meshes = self._meshes(time_s)
             self._kept.clear()
-            self._kept[time_s] = None if meshes is None else light_people(*meshes, self.light)
+            self._kept[time_s] = self._moment(time_s)
         return self._kept[time_s]
 
-    def _meshes(self, time_s: float) -> tuple[Mesh, Mesh] | None:
-        """Everybody when the shutter opens and when it closes."""
+    def _moment(self, time_s: float) -> Moment | None:
         actors = self.present(time_s)
         if not actors:
             return None
-        moments = []
-        for moment in (time_s - self.shutter_s / 2, time_s + self.shutter_s / 2):
-            moments.append(Mesh.joined([actor.mesh(moment if actor.present(moment) else time_s) for actor in actors]))
-        return moments[0], moments[1]
+        # Who appears or vanishes while the shutter is open is drawn at rest.
+        moments = (time_s - self.shutter_s / 2, time_s + self.shutter_s / 2)
+        start, end = (
+            Mesh.joined([actor.mesh(moment if actor.present(moment) else time_s) for actor in actors])
+            for moment in moments
+        )
+        joints = {actor.person.number: actor.joints(time_s) for actor in actors}
+        return Moment(light_people(start, end, self.light), joints)
 
-    def _views(self, camera: int, time_s: float, shown: Drawn) -> tuple[ViewTruth, ...]:
-        people = self._lit(time_s)
-        if people is None:
-            return ()
+    def _views(self, camera: int, time_s: float, moment: Moment, shown: Drawn) -> tuple[ViewTruth, ...]:
+        view = self.viewpoints[camera]
         return tuple(
-            view_truth(self.viewpoints[camera], people, shown, actor, self.hand(time_s, actor), time_s)
-            for actor in self.present(time_s)
+            view_truth(view, moment.people, shown, person, self.hand(time_s, person), joints)
+            for person, joints in moment.joints.items()
         )
 
-    def hand(self, time_s: float, actor: Actor) -> str:
+    def hand(self, time_s: float, person: int) -> Side:
         """The hand with which a person points."""
-        gesture = self.pointing(time_s, actor.person.number)
-        return actor.person.handed if gesture is None else gesture.hand
+        gesture = self.pointing(time_s, person)
+        handed = {actor.person.number: actor.person.handed for actor in self.play.actors}
+        return handed[person] if gesture is None else gesture.hand
 
     def _developed(self, camera: int, moment: int, light: np.ndarray, time_s: float) -> np.ndarray:
         rng = np.random.default_rng([self.seed, 1, camera, moment + (1 << 20)])

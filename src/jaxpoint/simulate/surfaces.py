@@ -85,7 +85,7 @@ class Builder:
         return Surfaces(
             np.concatenate(vertices),
             np.concatenate(normals),
-            np.concatenate(uv),
+            np.concatenate(uv).astype(np.float32),
             np.concatenate([part + start for part, start in zip(triangles, starts)]),
             np.concatenate(texture),
             tuple(self._textures),
@@ -106,7 +106,7 @@ class Builder:
                 normals.reshape(-1, 3),
                 uv.reshape(-1, 2),
                 triangles,
-                np.full(len(triangles), index, np.int32),
+                np.full(len(triangles), index, np.int16),
             )
         )
 

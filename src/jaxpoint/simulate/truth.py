@@ -8,7 +8,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
-from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.render import Drawn, LitPeople, label_of, samples_alone
 from jaxpoint.simulate.viewpoints import Viewpoint
@@ -36,15 +35,19 @@ class ViewTruth:
 
 
 def view_truth(
-    view: Viewpoint, people: LitPeople, shown: Drawn, actor: Actor, hand: Side, time_s: float
+    view: Viewpoint,
+    people: LitPeople,
+    shown: Drawn,
+    person: int,
+    hand: Side,
+    joints: dict[str, Float[np.ndarray, "3"]],
 ) -> ViewTruth:
-    """The truth of a person in an image at a time."""
-    person = actor.person.number
-    joints = actor.joints(time_s)
+    """The truth of a person whose joints (m) these are, in an image."""
     elbow, wrist = joints[f"{hand}_elbow"], joints[f"{hand}_wrist"]
     pixels = view.project(np.stack([joints["head"], elbow, wrist, joints[f"{hand}_tip"]]))[0]
     forearm, finger = (_visible(view, people, shown, label_of(part, person)) for part in PARTS[hand])
-    silhouette = int((shown.labels // PARTS_A_PERSON == person)[shown.labels > 0].sum())
+    first = PARTS_A_PERSON * person
+    silhouette = int(shown.pixels[max(1, first) : first + PARTS_A_PERSON].sum())
     return ViewTruth(person, hand, forearm, _angle_deg(view, elbow, wrist), finger, silhouette, *pixels)
 
 
