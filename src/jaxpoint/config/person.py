@@ -1,0 +1,180 @@
+"""Settings of the detectors of a person: motion, silhouette, head, skin, marker, and the thesis's filters.
+
+Sizes in pixels hold at an image width of 1280 px unless the field says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from jaxpoint.config.types import Count, Fraction, Positive
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """When something moves before a camera (thesis 6.2.1)."""
+
+    shrink: Count = 4
+    """Images are compared at 1/shrink of their size; 1 is the thesis's."""
+    canny_low: Positive = 50.0
+    """Lower threshold of the Canny detector on the difference of two images, grey levels."""
+    canny_high: Positive = 100.0
+    """Upper threshold of the Canny detector."""
+    deviations: Positive = 5.0
+    """The threshold lies this many standard deviations above the empty room's mean count of edge pixels."""
+    floor_px: Count = 50
+    """Fewest edge pixels of the full image that are motion, however quiet the room; 1/shrink of it when shrunk."""
+    min_pairs: Count = 50
+    """Fewest pairs of successive images from which the threshold is learnt."""
+    frames_on: Count = 3
+    """Motion begins with this many frames above the threshold in a row."""
+    frames_off: Count = 10
+    """It ends with this many below it in a row."""
+    switch_fraction: Fraction = 0.3
+    """When more of the image's pixels than this change, it may be a light that is switched."""
+    switch_one_sign: Fraction = 0.9
+    """It is one if this part of them changes in the same direction."""
+    switch_levels: Positive = 15.0
+    """Grey levels by which a pixel must change to count for it."""
+
+
+@dataclass(frozen=True)
+class BackgroundSettings:
+    """What the room looks like without people (thesis 6.2.1)."""
+
+    method: Literal["static", "mog2", "knn"] = "static"
+    """`static`: per-pixel median and MAD over frames, or of an empty room; `mog2`, `knn`: OpenCV's adaptive ones."""
+    shrink: Count = 2
+    """Images are compared at 1/shrink of their size; 1 is the thesis's."""
+    threshold: Positive = 25.0
+    """Least sum of the differences in Y, Cr and Cb that is foreground, grey levels."""
+    deviations: Positive = 6.0
+    """The sum must also exceed this many of the pixel's own deviations (scaled MAD)."""
+    follow_light: bool = True
+    """Divide out a common gain of each colour channel: flicker, exposure, a slow change of light."""
+    shadows: bool = True
+    """Take what is only darker, in the same colour and by a bounded factor, for a shadow and not for a person."""
+    shadow_darkest: Fraction = 0.5
+    """A shadow keeps at least this fraction of the light."""
+    shadow_colour: Positive = 8.0
+    """Largest sum of the differences in Cr and Cb of a shadow, grey levels."""
+    min_frames: Count = 20
+    """Fewest images from which a background is learnt."""
+    max_frames: Count = 100
+    """Images used, spread over the recording."""
+    history: Count = 500
+    """Adaptive only: frames that the background remembers."""
+
+
+@dataclass(frozen=True)
+class SilhouetteSettings:
+    """From foreground pixels to people (thesis 6.2.2)."""
+
+    shrink: Count = 2
+    """Regions are formed at 1/shrink of the image's size; 1 is the thesis's."""
+    thicken: Count = 1
+    """Times that regions grow by a pixel without merging."""
+    close_px: Count = 7
+    """Side of the square that closes gaps."""
+    min_fraction: Fraction = 0.002
+    """Regions smaller than this fraction of the image are no people."""
+    people: Count = 4
+    """Most silhouettes returned, the largest first; 1 is the thesis's."""
+
+
+@dataclass(frozen=True)
+class HeadSettings:
+    """How a head is found in a silhouette (thesis 6.2.3)."""
+
+    method: Literal["outline", "thesis"] = "outline"
+    """`thesis`: the best ellipse by normalised correlation; `outline`: refined on the outline above the chin."""
+    height_m: Positive = 0.24
+    """Height of a head."""
+    nearest_m: Positive = 1.0
+    """Nearest distance from the camera."""
+    farthest_m: Positive = 6.0
+    """Farthest distance from the camera."""
+    heights: Count = 10
+    """Sizes of the ellipse between the two, evenly spaced in the logarithm."""
+    aspect: Positive = 0.78
+    """Width of a head over its height."""
+    template_px: Count = 24
+    """The silhouette is resampled so that a head has this height; correlation costs more with every pixel."""
+    min_score: Fraction = 0.6
+    """Least normalised correlation of a head."""
+    upper_part: Fraction = 0.5
+    """Part of the silhouette, from its top, that is searched."""
+
+
+@dataclass(frozen=True)
+class SkinSettings:
+    """Which colours are skin (thesis 6.3.1)."""
+
+    model: Literal["fitted", "box", "thesis"] = "fitted"
+    """`fitted`: log-likelihood ratio of Gaussians; `box`: Cr 133 to 173, Cb 77 to 127; `thesis`: hue and that box."""
+    red_wrap: bool = False
+    """Thesis only: hues just below red count as skin as well."""
+    white_balance: bool = False
+    """Divide out the room's cast of colour first."""
+    threshold: float = -0.25
+    """Fitted only: least log-likelihood ratio of skin to anything else, nats."""
+
+
+@dataclass(frozen=True)
+class MarkerSettings:
+    """How a coloured marker on the finger is found (thesis 6.3.2)."""
+
+    gates: Literal["sigma", "fixed"] = "sigma"
+    """`sigma`: `deviations` of the picked pixels, at least the fixed gates' half; `fixed`: the three numbers below."""
+    deviations: Positive = 3.0
+    """Half width of a gate in standard deviations of the picked pixels."""
+    hue_gate: Positive = 10.0
+    """Half width in hue, in OpenCV's units of 2 degrees."""
+    saturation_gate: Positive = 60.0
+    """Half width in saturation, of 255."""
+    value_gate: Positive = 70.0
+    """Half width in value, of 255."""
+    min_pixels: Count = 20
+    """Fewest pixels from which a marker's colour is learnt."""
+    min_saturation: Positive = 40.0
+    """A marker of less saturation has no hue that could be told from grey."""
+    min_area_px: Count = 7
+    """Regions of this area or less are not the marker."""
+    min_eccentricity: Fraction = 0.75
+    """Rounder regions are not the marker."""
+    max_orientation_deg: Positive = 60.0
+    """Thesis only: steeper regions are not the marker."""
+    min_ratio: Positive = 3.0
+    """Thesis only: least ratio of the axes."""
+    max_ratio: Positive = 8.0
+    """Thesis only: largest ratio of the axes."""
+
+
+@dataclass(frozen=True)
+class ThesisSettings:
+    """The thesis's filters of the forearm (6.3.1); pixels of the image as it is."""
+
+    min_area_px: Count = 100
+    """Regions of this area or less are no forearm."""
+    min_eccentricity: Fraction = 0.75
+    """Rounder regions are no forearm."""
+    max_orientation_deg: Positive = 55.0
+    """Steeper regions are no forearm."""
+    min_ratio: Positive = 2.0
+    """Least ratio of the axes."""
+    max_ratio: Positive = 11.0
+    """Largest ratio of the axes."""
+
+
+@dataclass(frozen=True)
+class PersonSettings:
+    """How a person is found in the images of a calibrated room."""
+
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    background: BackgroundSettings = field(default_factory=BackgroundSettings)
+    silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
+    head: HeadSettings = field(default_factory=HeadSettings)
+    skin: SkinSettings = field(default_factory=SkinSettings)
+    marker: MarkerSettings = field(default_factory=MarkerSettings)
+    thesis: ThesisSettings = field(default_factory=ThesisSettings)

@@ -1,0 +1,24 @@
+"""Colours of whole images."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+Image = UInt8[np.ndarray, "H W 3"]  # blue, green, red
+
+GREY_SPREAD = 4.0  # grey levels between the channels, 99th percentile: an image with less has no colour
+
+
+def is_grey(image: Image) -> bool:
+    """Whether an image has no colour, as of an infrared or a monochrome camera."""
+    some = image[::4, ::4] if min(image.shape[:2]) > 8 else image
+    some = some.reshape(-1, 3)
+    return bool(np.percentile(some.max(axis=1) - some.min(axis=1), 99) < GREY_SPREAD)
+
+
+def scaled(image: Image, gains: Float[np.ndarray, "3"]) -> Image:
+    """The image with blue, green and red times their gains."""
+    levels = np.clip(np.round(np.arange(256.0)[:, None] * gains), 0, 255).astype(np.uint8)
+    return cv2.LUT(image, levels[None])
