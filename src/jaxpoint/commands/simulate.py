@@ -6,14 +6,17 @@ import shlex
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jaxpoint.commands.console import Console
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
 from jaxpoint.config.simulation import AtLeastOne, SimulationSettings
+
+if TYPE_CHECKING:
+    from jaxpoint.simulate.session import SimulatedSession
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +49,6 @@ class Simulate(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Write the session's folder, whole or not at all."""
-        import cv2
-
         from jaxpoint.runs import MARK, check_out, new_run, provenance, write_json
         from jaxpoint.simulate.recording import write_session
         from jaxpoint.simulate.session import simulate_session
@@ -61,7 +62,7 @@ class Simulate(SeededOptions):
             with new_run(out, self.force) as folder:
                 write_session(folder, session, wave=wave, masks=self.masks, progress=progress)
                 write_json(folder / MARK, provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), (), self.seed))
-        return _outcome(out, session, wave)
+        return _outcome(out, session, self.wave)
 
     def _resolved(self) -> SimulationSettings:
         """The settings with what flags say."""
@@ -72,3 +73,29 @@ class Simulate(SeededOptions):
             people=replace(self.settings.people, **_given(people)),
             viewpoints=replace(self.settings.viewpoints, **_given(views)),
         )
+
+
+def _given(flags: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in flags.items() if value is not None}
+
+
+def _outcome(out: Path, session: SimulatedSession, wave: bool) -> Outcome:
+    images = int(session.clocks.present.sum())
+    figures = {
+        "session": str(out),
+        "seed": session.seed,
+        "cameras": list(session.rig.names),
+        "moments": session.clocks.moments,
+        "images": images,
+        "gestures": len(session.gestures),
+        "objects": len(session.objects),
+        "seconds_shown": session.play.duration_s,
+        "wave": wave,
+    }
+    lines = (
+        f"{images} images of {len(session.viewpoints)} cameras, {session.play.duration_s:.1f} s, "
+        f"{len(session.gestures)} gestures among {len(session.objects)} named objects",
+        f"Preview: {out / 'preview.png'}",
+        f"Session: {out}",
+    )
+    return Outcome(figures, lines)

@@ -3,6 +3,8 @@
 What varies is a distribution, drawn from the seed once a session (or camera). Plain Python, as all settings are.
 """
 
+# ruff: noqa: RUF009 (a Uniform cannot change)
+
 from __future__ import annotations
 
 from dataclasses import dataclass, field

@@ -56,7 +56,7 @@ class Capsule:
         along, sight, between = self.end - self.start, point - eye, eye - self.start
         a, b, c = along @ along, along @ sight, sight @ sight
         determinant = a * c - b * b
-        s = np.clip((a * 0 + b * (sight @ between) * -1 + c * (along @ between)) / max(determinant, 1e-12), 0.0, 1.0)
+        s = np.clip((c * (along @ between) - b * (sight @ between)) / max(determinant, 1e-12), 0.0, 1.0)
         t = np.clip((s * b - sight @ between) / c, 0.0, 1.0)
         s = np.clip((t * b + along @ between) / max(a, 1e-12), 0.0, 1.0)
         nearest = between + t * sight - s * along

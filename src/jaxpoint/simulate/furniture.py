@@ -10,6 +10,7 @@ from jaxtyping import Float
 from numpy.random import Generator
 
 from jaxpoint.simulate import textures
+from jaxpoint.simulate.people.floor import Chair
 from jaxpoint.simulate.surfaces import Builder, box_faces
 from jaxpoint.simulate.textures import Colour, Texture
 
@@ -30,15 +31,6 @@ class NamedObject:
     def center(self) -> Float[np.ndarray, "3"]:
         """The middle of the rectangle, m."""
         return self.corners.mean(axis=0)
-
-
-@dataclass(frozen=True)
-class Chair:
-    """A seat that a person can take."""
-
-    position: Float[np.ndarray, "2"]  # m, middle of the seat on the floor plan
-    facing_rad: float  # direction in which one looks who sits on it, from the x axis
-    seat_m: float  # height of the seat
 
 
 @dataclass(frozen=True)
@@ -75,6 +67,7 @@ class Furnished:
     chairs: list[Chair] = field(default_factory=list)
     mirrors: list[tuple[np.ndarray, float]] = field(default_factory=list)  # corners, share of light reflected
     lamps: list[np.ndarray] = field(default_factory=list)  # m
+    door: np.ndarray = field(default_factory=lambda: np.zeros(3))  # m, a place just inside
 
     def name(self, name: str, kind: str, corners: np.ndarray, *tags: str) -> None:
         """Make a rectangle something that can be pointed at."""
@@ -117,7 +110,9 @@ def media_wall(room: Furnished, wall: Wall) -> float:
     end = left - 0.45 if left > 1.6 else left + width + 0.45
     _floor_lamp(room, wall.at(end, 0.3, 0.0), wall)
     top = height + tall + 0.35
-    room.flat("calendar", "picture", wall.rectangle(left + width - 0.2, top, 0.32, 0.45), textures.printed(rng), "paper")
+    room.flat(
+        "calendar", "picture", wall.rectangle(left + width - 0.2, top, 0.32, 0.45), textures.printed(rng), "paper"
+    )
     return depth + 0.5
 
 
@@ -171,6 +166,7 @@ def shelf_wall(room: Furnished, wall: Wall) -> float:
     opening = rng.uniform(left + width + 0.7, wall.length - 1.2)
     leaf = textures.door(rng, WOODS[int(rng.integers(len(WOODS)))])
     room.flat("door", "door", wall.rectangle(opening, 2.05, 0.92, 2.05), leaf, "exit")
+    room.door = wall.at(opening + 0.46, 0.5, 0.0)
     switch = wall.rectangle(opening - 0.25, 1.15, 0.1, 0.1)
     room.flat("light switch", "switch", switch, textures.plain((236, 234, 228)), "light")
     clock = wall.rectangle(left + width + 0.15, 2.15, 0.32, 0.32)
@@ -221,7 +217,7 @@ def scattered(room: Furnished, size: np.ndarray, free: np.ndarray) -> None:
     middle = (free[0] + free[1]) / 2
     ground = Wall(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]), float(size[0]))
     spread = (free[1] - free[0]) * rng.uniform(0.5, 0.75, 2)
-    room.flat("rug", "rug", _lying(np.array([*middle, 0.004]), *spread, ground), textures.rug(rng), "carpet", "floor")
+    room.flat("rug", "rug", _lying(np.append(middle, 0.004), spread[0], spread[1], ground), textures.rug(rng), "carpet")
     corner = np.array([free[1, 0] + 0.25, free[0, 1] - 0.2, 0.0])
     _carton(room, "cardboard box", corner, 0.42, 0.35, "floor", "parcel")
     other = np.array([free[0, 0] - 0.2, free[1, 1] + 0.15, 0.006])
@@ -306,7 +302,7 @@ def _floor_lamp(room: Furnished, base: np.ndarray, wall: Wall) -> None:
     room.builder.tube(base, (0.015, 0.015), 1.45, pole)
     shade = Texture(np.full((2, 2, 3), (0.95, 0.8, 0.55), np.float32), shines=True)
     room.builder.tube(base + np.array([0.0, 0.0, 1.35]), (0.2, 0.13), 0.3, shade)
-    room.builder.boxes.append(np.stack([base - [0.22, 0.22, 0.0], base + [0.22, 0.22, 1.7]]))
+    room.builder.boxes.append(base + np.array([[-0.22, -0.22, 0.0], [0.22, 0.22, 1.7]]))
     across = 0.36 * wall.along
     top = base + wall.out * 0.0 + np.array([0.0, 0.0, 1.65])
     corners = np.stack([top - across / 2, top + across / 2]).repeat(2, axis=0)[[0, 2, 1, 3]]
@@ -350,7 +346,7 @@ def _chair(room: Furnished, name: str, position: np.ndarray, facing: float) -> N
     back = behind + np.array([0.0, 0.0, seat_m + size[2] / 2 + 0.02])
     room.builder.box(back, size, wood, yaw)
     room.name(name, "chair", box_faces(back, size, yaw)["front"], "seat")
-    room.chairs.append(Chair(position, float(facing), seat_m))
+    room.chairs.append(Chair(float(position[0]), float(position[1]), facing, seat_m))
 
 
 def _vivid(rng: Generator) -> Colour:

@@ -1,7 +1,8 @@
 """Light on surfaces: lamps with soft shadows, and what walls and ceiling send back.
 
 A lamp is a few points on its disc; light sent back is a dozen weak points on ceiling and walls (Keller, Instant
-Radiosity, 1997). Each point has a map of what it sees, in the equidistant projection, over the half space in front and a little more.
+Radiosity, 1997). Each point has a map of what it sees, in the equidistant projection, over the half space before it
+and a little more.
 """
 
 from __future__ import annotations
@@ -47,9 +48,7 @@ class LightPoint:
         raster = rasterise(place[triangles], distance[triangles], (MAP_PX, MAP_PX), both_sides=True)
         return raster.depth
 
-    def arriving(
-        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
-    ) -> Float[np.ndarray, "N 3"]:
+    def arriving(self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
         """What reaches surfaces when nothing stands between."""
         offset = self.position - points
         square = np.maximum((offset**2).sum(axis=1), NEAREST_M**2)
@@ -119,7 +118,7 @@ def _points_of(lamp: Lamp) -> list[LightPoint]:
 def _sent_back(scene: Scene) -> tuple[LightPoint, ...]:
     """Weak points on the ceiling and the walls; their light has the lamps' mean colour."""
     length, width, height = scene.size
-    strength = scene.indirect * sum(lamp.intensity for lamp in scene.lamps) / 6.5
+    strength = scene.indirect * np.sum([lamp.intensity for lamp in scene.lamps], axis=0) / 6.5
     places = [
         ((x * length, y * width, height - 0.05), (0.0, 0.0, -1.0), 0.42) for x in (0.2, 0.5, 0.8) for y in (0.25, 0.75)
     ]

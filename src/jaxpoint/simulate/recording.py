@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import platform
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -16,11 +16,8 @@ import tomli_w
 from jaxpoint.config.loading import to_toml
 from jaxpoint.errors import MissingDependencyError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession
+from jaxpoint.simulate.session import Progress, SimulatedFrame, SimulatedSession
 from jaxpoint.simulate.wave import SimulatedWave
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is being written, how much of it is done, and how much there is."""
 
 CORNERS = ("lt", "rt", "lb", "rb")
 PIXELS = ("head", "elbow", "wrist", "tip")

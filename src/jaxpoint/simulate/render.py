@@ -24,6 +24,7 @@ MOVES_PX = 0.5  # what moves less during the exposure is drawn at rest
 CHUNK = 400_000  # samples shaded at once
 SHADOW_BLUR_PX = 1.6  # of the lamps' maps, for the lamps' size
 SKIN_BIAS_M = 0.05
+NO_MAP = np.zeros(0, np.float32)  # cv2.remap: both coordinates stand in one map
 
 
 @dataclass(frozen=True)
@@ -207,8 +208,8 @@ def _cast_shadows(image: np.ndarray, room: RoomView, people: LitPeople) -> None:
     for place, distance, share, coverage, near in zip(
         room.lamp_places, room.lamp_distances, room.lamp_shares, people.coverage, people.distance
     ):
-        taken = cv2.remap(coverage, place, None, cv2.INTER_LINEAR)
-        first = cv2.remap(near, place, None, cv2.INTER_NEAREST)
+        taken = cv2.remap(coverage, place, NO_MAP, cv2.INTER_LINEAR)
+        first = cv2.remap(near, place, NO_MAP, cv2.INTER_NEAREST)
         lost += share * taken * (distance > first + SKIN_BIAS_M)
     rows, columns = np.nonzero(lost > 0.004)
     if not len(rows):
@@ -271,7 +272,7 @@ def _looked_up(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     rows = -(-len(place) // 4096)
     padded = np.zeros((rows * 4096, 2), np.float32)
     padded[: len(place)] = place
-    found = cv2.remap(image, padded.reshape(rows, 4096, 2), None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    found = cv2.remap(image, padded.reshape(rows, 4096, 2), NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return found.reshape(-1, 3)[: len(place)]
 
 
@@ -307,9 +308,7 @@ def _lamp_at(lamp: LightPoint, points: np.ndarray, shape: tuple[int, ...]) -> tu
 
 def _mixed(weights: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Values (N, 3 corners, C) by the weights (N, 3) of their corners."""
-    return (
-        weights[:, :1] * values[:, 0] + weights[:, 1:2] * values[:, 1] + weights[:, 2:] * values[:, 2]
-    )
+    return weights[:, :1] * values[:, 0] + weights[:, 1:2] * values[:, 1] + weights[:, 2:] * values[:, 2]
 
 
 def _averaged(samples: np.ndarray) -> np.ndarray:

@@ -11,7 +11,6 @@ from numpy.random import Generator
 from jaxpoint.config.simulation import SceneSettings
 from jaxpoint.simulate import textures
 from jaxpoint.simulate.furniture import (
-    Chair,
     Furnished,
     NamedObject,
     Wall,
@@ -21,6 +20,7 @@ from jaxpoint.simulate.furniture import (
     shelf_wall,
     sofa_wall,
 )
+from jaxpoint.simulate.people.floor import Chair
 from jaxpoint.simulate.surfaces import Surfaces
 
 SIZE_M = (6.0, 5.0, 3.0)
@@ -47,6 +47,7 @@ class Scene:
     lamps: tuple[Lamp, ...]
     indirect: float  # strength of the light sent back by walls and ceiling
     chairs: tuple[Chair, ...]
+    door: Float[np.ndarray, "3"]  # m, a place on the floor just inside
     free_floor: Float[np.ndarray, "2 2"]  # m: lowest and highest x, y where people stand and walk
     boxes: Float[np.ndarray, "N 2 3"]  # m: lowest and highest corner of what stands in the room
     mirrors: tuple[tuple[Float[np.ndarray, "4 3"], float], ...]  # shiny rectangles and the share they reflect
@@ -71,6 +72,7 @@ def make_scene(rng: Generator, settings: SceneSettings) -> Scene:
         tuple(_lamp(rng, settings, place, len(room.lamps)) for place in room.lamps),
         _drawn(rng, settings.indirect),
         tuple(room.chairs),
+        room.door,
         free,
         np.array(room.builder.boxes),
         tuple(room.mirrors),
@@ -93,12 +95,11 @@ def _shell(room: Furnished, size: np.ndarray, walls: list[Wall]) -> None:
     """Walls with skirting, floor and ceiling."""
     rng, builder = room.rng, room.builder
     length, width, height = size
-    base = np.array([(232, 226, 214), (214, 222, 226), (236, 220, 200), (222, 228, 212)][int(rng.integers(4))])
-    accent = np.array([(150, 170, 180), (190, 150, 130), (165, 175, 140), (225, 195, 165)][int(rng.integers(4))])
+    base = [(232, 226, 214), (214, 222, 226), (236, 220, 200), (222, 228, 212)][int(rng.integers(4))]
+    accent = [(150, 170, 180), (190, 150, 130), (165, 175, 140), (225, 195, 165)][int(rng.integers(4))]
     coloured = int(rng.integers(4))
     for i, wall in enumerate(walls):
-        colour = accent if i == coloured else base
-        paint = textures.plaster(rng, tuple(int(c) for c in colour))
+        paint = textures.plaster(rng, accent if i == coloured else base)
         builder.quad(wall.rectangle(0.0, height, wall.length, height, out=0.0), paint)
         skirting = textures.plain((238, 236, 230))
         builder.quad(wall.rectangle(0.0, 0.09, wall.length, 0.09, out=0.008), skirting)

@@ -43,7 +43,7 @@ class Sensor:
         """
         signal = cv2.multiply(light, self.response, scale=brightness * (LEVELS - 1))
         per_signal, constant = self.variance
-        variance = cv2.max(signal, 0.0)
+        variance = np.maximum(signal, np.float32(0))
         variance *= np.float32(per_signal * (LEVELS - 1))
         variance += np.float32(constant * (LEVELS - 1) ** 2)
         cv2.sqrt(variance, variance)
@@ -58,7 +58,7 @@ class Sensor:
     def compressed(self, image: UInt8[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
         """The image after the camera's JPEG."""
         coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality])[1]
-        return cv2.imdecode(coded, cv2.IMREAD_COLOR)
+        return np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR))
 
 
 def random_sensor(rng: Generator, settings: SensorSettings, room: Float[np.ndarray, "H W 3"]) -> Sensor:

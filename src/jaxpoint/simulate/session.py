@@ -6,8 +6,9 @@ and seed give the same frames, in whatever order they are asked for.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -19,15 +20,18 @@ from jaxpoint.simulate.furniture import NamedObject
 from jaxpoint.simulate.lighting import RoomLight, light_room
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh
 from jaxpoint.simulate.people.actor import Actor
-from jaxpoint.simulate.people.floor import Chair, Floor
+from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.play import Play, make_play
 from jaxpoint.simulate.render import Drawn, LitPeople, RoomView, draw_people, light_people, nobody, render_room
-from jaxpoint.simulate.scene import Scene, make_scene
+from jaxpoint.simulate.scene import SIZE_M, Scene, make_scene
 from jaxpoint.simulate.sensor import NoiseField, Sensor, random_sensor
 from jaxpoint.simulate.truth import ViewTruth, view_truth
 from jaxpoint.simulate.viewpoints import Viewpoint, random_viewpoints, rig_of
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being made, how much of it is done, and how much there is."""
 
 KEEP_FROM_CAMERA_M = 0.6  # nobody stands closer to a camera than that on the floor plan
 
@@ -160,8 +164,9 @@ class SimulatedSession:
     def hand(self, time_s: float, person: int) -> Side:
         """The hand with which a person points."""
         gesture = self.pointing(time_s, person)
-        handed = {actor.person.number: actor.person.handed for actor in self.play.actors}
-        return handed[person] if gesture is None else gesture.hand
+        if gesture is not None:
+            return gesture.hand
+        return next(actor.person.handed for actor in self.play.actors if actor.person.number == person)
 
     def _developed(self, camera: int, moment: int, light: np.ndarray, time_s: float) -> np.ndarray:
         rng = np.random.default_rng([self.seed, 1, camera, moment + (1 << 20)])
@@ -176,8 +181,15 @@ class SimulatedSession:
         return float((1 + slow) * (1 + settings.flicker * np.clip(rng.normal(), -3.0, 3.0)))
 
 
-def simulate_session(settings: SimulationSettings | None = None, seed: int = 0) -> SimulatedSession:
+def simulate_session(
+    settings: SimulationSettings | None = None, seed: int = 0, progress: Progress | None = None
+) -> SimulatedSession:
     """Draw a room, cameras and a play, and render the empty room for every camera.
+
+    Args:
+        settings: distributions of all that varies.
+        seed: the same seed and settings give the same session.
+        progress: called after every camera.
 
     Raises:
         ValueError: the room leaves people no place, or there are more of them than labels.
@@ -187,11 +199,15 @@ def simulate_session(settings: SimulationSettings | None = None, seed: int = 0) 
     scene = make_scene(rngs[0], settings.scene)
     light = light_room(scene)
     viewpoints = random_viewpoints(rngs[1], settings.viewpoints, scene)
-    rooms = tuple(render_room(view, scene, light) for view in viewpoints)
+    rooms = []
+    for view in viewpoints:
+        rooms.append(render_room(view, scene, light))
+        if progress is not None:
+            progress("room", len(rooms), len(viewpoints))
     sensors = tuple(
         _faulty(random_sensor(rngs[2], settings.sensor, room.image), i, settings.faults) for i, room in enumerate(rooms)
     )
-    play = make_play(rngs[3], settings.people, scene.objects, floor_of(scene, viewpoints))
+    play = make_play(rngs[3], settings.people, cast(Any, scene.objects), floor_of(scene, viewpoints))
     highest = max((actor.person.number for actor in play.actors), default=0)
     if highest >= 256 // PARTS_A_PERSON:
         raise ValueError(
@@ -203,7 +219,7 @@ def simulate_session(settings: SimulationSettings | None = None, seed: int = 0) 
     shutter = float(rngs[5].uniform(bounds.low, bounds.high))
     noise = NoiseField(rngs[5], settings.viewpoints.size)
     return SimulatedSession(
-        settings, seed, scene, light, tuple(viewpoints), sensors, rooms, play, clocks, shutter, noise
+        settings, seed, scene, light, tuple(viewpoints), sensors, tuple(rooms), play, clocks, shutter, noise
     )
 
 
@@ -215,12 +231,13 @@ def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:
 
 def floor_of(scene: Scene, viewpoints: Sequence[Viewpoint] = ()) -> Floor:
     """The floor as people need it; nobody stands right before a camera."""
-    length, width, height = (float(side) for side in scene.size)
-    furniture = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes]
-    near = [
-        (*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0)
-        for view in viewpoints
-    ]
-    chairs = [Chair(*chair.position.tolist(), chair.facing_rad, chair.seat_m) for chair in scene.chairs]
-    obstacles = [tuple(float(value) for value in box) for box in (*furniture, *near)]
-    return Floor((length, width, height), obstacles, chairs, None)
+    boxes = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes]
+    for view in viewpoints:
+        boxes.append((*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0))
+    door = float(scene.door[0]), float(scene.door[1])
+    return Floor(SIZE_M, [_floats(box) for box in boxes], scene.chairs, door)
+
+
+def _floats(box: Sequence[float]) -> tuple[float, float, float, float, float]:
+    x0, y0, x1, y1, height = map(float, box)
+    return x0, y0, x1, y1, height

@@ -10,6 +10,8 @@ from jaxtyping import Float, Int
 
 from jaxpoint.simulate.textures import Texture
 
+Vector = Sequence[float] | Float[np.ndarray, " N"]
+
 STEP_M = 0.08  # edge of the triangles: fine enough for soft shadows that are computed at their corners
 
 
@@ -46,7 +48,7 @@ class Builder:
         scale = np.array([1.0, 1.0]) if texture.size_m is None else np.array([width, height]) / texture.size_m
         self._add(points, normals, np.stack([u, v], axis=-1) * scale, texture)
 
-    def box(self, center: Sequence[float], size: Sequence[float], texture: Texture, yaw: float = 0.0, **faces) -> None:
+    def box(self, center: Vector, size: Vector, texture: Texture, yaw: float = 0.0, **faces) -> None:
         """A box about its centre, m, turned by `yaw` (rad) about the vertical.
 
         `faces` gives front (-y of the box), back, left (-x), right, top or bottom a texture of its own; None leaves
@@ -59,7 +61,7 @@ class Builder:
         spread = np.abs(_turn(yaw)) @ np.asarray(size, float) / 2
         self.boxes.append(np.stack([np.asarray(center) - spread, np.asarray(center) + spread]))
 
-    def tube(self, base: Sequence[float], radii: tuple[float, float], height: float, texture: Texture) -> None:
+    def tube(self, base: Vector, radii: tuple[float, float], height: float, texture: Texture) -> None:
         """An upright tube from its lower to its upper radius, m, seen from outside and from above."""
         sides = max(8, round(2 * np.pi * max(radii) / 0.05))
         angle, level = np.meshgrid(np.linspace(0, 2 * np.pi, sides + 1), np.linspace(1, 0, max(2, round(height / 0.1))))
@@ -111,7 +113,7 @@ class Builder:
         )
 
 
-def box_faces(center: Sequence[float], size: Sequence[float], yaw: float = 0.0) -> dict[str, np.ndarray]:
+def box_faces(center: Vector, size: Vector, yaw: float = 0.0) -> dict[str, np.ndarray]:
     """The faces of a box by name, each as left-top, right-top, left-bottom, right-bottom seen from outside."""
     x, y, z = np.asarray(size, float) / 2
     faces = {

@@ -109,8 +109,8 @@ def clock(rng: Generator) -> Texture:
     cv2.circle(image, (100, 100), 88, (240, 240, 235), -1, cv2.LINE_AA)
     for hour in range(12):
         turn = np.array([np.sin(hour * np.pi / 6), -np.cos(hour * np.pi / 6)])
-        ends = [tuple(np.round(100 + reach * turn).astype(int).tolist()) for reach in (70, 82)]
-        cv2.line(image, *ends, (20, 20, 20), 5, cv2.LINE_AA)
+        start, end = (np.round(100 + reach * turn).astype(int).tolist() for reach in (70, 82))
+        cv2.line(image, start, end, (20, 20, 20), 5, cv2.LINE_AA)
     for reach, width in ((45, 7), (68, 4)):
         angle = rng.uniform(0, 2 * np.pi)
         end = (round(100 + reach * np.sin(angle)), round(100 - reach * np.cos(angle)))
@@ -151,7 +151,9 @@ def window(rng: Generator) -> Texture:
     image = np.repeat(sky, 300, axis=1).astype(np.uint8)
     for _ in range(25):
         at = (int(rng.integers(300)), int(rng.integers(165, 250)))
-        cv2.circle(image, at, int(rng.integers(15, 45)), (int(rng.integers(40, 80)), int(rng.integers(80, 130)), 50), -1)
+        cv2.circle(
+            image, at, int(rng.integers(15, 45)), (int(rng.integers(40, 80)), int(rng.integers(80, 130)), 50), -1
+        )
     linear = 1.6 * to_linear(cv2.GaussianBlur(image, (0, 0), 3).astype(np.float32) / 255)
     for frame in ((0, 0, 300, 12), (0, 228, 300, 12), (0, 0, 12, 240), (288, 0, 12, 240), (144, 0, 12, 240)):
         x, y, width, height = frame
@@ -238,7 +240,9 @@ def _landscape(rng: Generator) -> np.ndarray:
         x = np.arange(0, 320, 20)
         y = level + 18 * np.sin(x / rng.uniform(20, 60) + rng.uniform(0, 6)) + rng.normal(0, 4, len(x))
         outline = np.stack([x, y], axis=1).astype(np.int32)
-        cv2.fillPoly(image, [np.concatenate([outline, [[300, 220], [0, 220]]]).astype(np.int32)], _random_colour(rng, 30, 200))
+        cv2.fillPoly(
+            image, [np.concatenate([outline, [[300, 220], [0, 220]]]).astype(np.int32)], _random_colour(rng, 30, 200)
+        )
     return image
 
 

@@ -139,8 +139,8 @@ def _path(rng: Generator, settings: WaveSettings, session: SimulatedSession) -> 
     """A smooth walk of the light through the room (F, 3), m."""
     knots = max(6, settings.frames // KNOT_FRAMES)
     low, high = session.scene.free_floor
-    bounds = np.array([[*(low - 0.5), 0.25], [*(high + 0.5), 2.2]])
-    path = CubicSpline(np.linspace(0.0, settings.frames - 1.0, knots), rng.uniform(*bounds, (knots, 3)))
+    lowest, highest = np.append(low - 0.5, 0.25), np.append(high + 0.5, 2.2)
+    path = CubicSpline(np.linspace(0.0, settings.frames - 1.0, knots), rng.uniform(lowest, highest, (knots, 3)))
     return np.clip(path(np.arange(settings.frames)), 0.05, session.scene.size - 0.05)
 
 
