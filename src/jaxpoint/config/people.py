@@ -70,7 +70,7 @@ class LooksSettings:
 class AccurateSettings:
     """Eye, fingertip and target in line."""
 
-    elbow_flexion_deg: Normal = Normal(15.0, 8.0, 3.0, 35.0)
+    elbow_flexion_deg: Normal = Normal(12.0, 7.0, 3.0, 30.0)
     """By how much the elbow is bent; a person's own mean."""
     swivel_deg: Normal = Normal(75.0, 15.0, 30.0, 110.0)
     """How far the elbow stands out from straight below the arm; a person's own."""

@@ -26,8 +26,11 @@ SETTLE_S = 0.7  # an arm goes from one rest to the next
 class Move(Protocol):
     """What the legs do for a while."""
 
-    start_s: float
-    end_s: float
+    @property
+    def start_s(self) -> float: ...
+
+    @property
+    def end_s(self) -> float: ...
 
     def stance(self, time: float) -> Stance: ...
 

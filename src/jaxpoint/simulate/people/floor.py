@@ -39,12 +39,12 @@ class Floor:
     def is_free(self, places: Float[np.ndarray, "N 2"], margin: float) -> np.ndarray:
         """Whether each place (x, y) is at least `margin` m away from every wall and obstacle."""
         size = np.array(self.size_m[:2])
-        free = ((places >= margin) & (places <= size - margin)).all(axis=-1)
+        free = np.all((places >= margin) & (places <= size - margin), axis=-1)
         for x0, y0, x1, y1, _ in self.obstacles:
             low, high = np.array([min(x0, x1), min(y0, y1)]), np.array([max(x0, x1), max(y0, y1)])
             away = np.maximum(np.maximum(low - places, places - high), 0.0)
-            free &= np.linalg.norm(away, axis=-1) >= margin
-        return free
+            free = free & (np.linalg.norm(away, axis=-1) >= margin)
+        return np.asarray(free)
 
     def holds(self, points: Float[np.ndarray, "N 3"], margin: float) -> bool:
         """Whether all points (m) are inside the room and outside the furniture, `margin` m away from both."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +48,11 @@ class Gesture:
     aim: ArmPose  # during the hold, tremor aside
     twist: float  # of the trunk during the hold
     tremor: Tremor
+
+    def later(self, seconds: float) -> Gesture:
+        """The same, that much later."""
+        times = ("first_s", "hold_first_s", "hold_last_s", "last_s")
+        return replace(self, **{name: getattr(self, name) + seconds for name in times})
 
     def raised(self, time: float) -> float:
         """0 before and after, 1 during the hold."""

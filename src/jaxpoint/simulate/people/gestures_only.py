@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.planning import Performer, draw_target, plan_gesture
 from jaxpoint.simulate.people.rest import Rest
-from jaxpoint.simulate.people.rotations import Vector
 from jaxpoint.simulate.people.stance import Stance, standing
 
 ATTEMPTS = 400
@@ -36,7 +34,7 @@ def gestures_only(
         gesture, stance = stand_and_point(rng, performer, settings, objects, room, now + LEAD_S)
         end = gesture.last_s + LEAD_S
         rests = [RestFrom(now, other_arm(rng, gesture.hand))]
-        actors.append(Actor(performer.person, [Stay(now, end, stance)], rests, [replace(gesture, number=number)]))
+        actors.append(Actor(performer.person, [Stay(now, end, stance)], rests, [gesture]))
         now = end + draw(rng, settings.pause_s)
     return actors, now
 
@@ -77,8 +75,3 @@ def other_arm(rng: np.random.Generator, hand: Side) -> dict[Side, Rest]:
     rests: dict[Side, Rest] = {"left": other, "right": other}
     rests[hand] = "hanging"
     return rests
-
-
-def place_of(stance: Stance) -> Vector:
-    """The place on the floor below the pelvis."""
-    return np.array([stance.pelvis[0], stance.pelvis[1], 0.0])

@@ -9,10 +9,12 @@ import numpy as np
 from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.pose import Foot
 from jaxpoint.simulate.people.proportions import Proportions
-from jaxpoint.simulate.people.rotations import Vector, yawed
+from jaxpoint.simulate.people.rotations import Vector, smooth, yawed
 from jaxpoint.simulate.people.skeleton import SIDES, sign
 
 STRAIGHT = 0.997  # of the length of a leg: nobody stands with locked knees
+SIT_S = 1.3
+SIT_LEAN = 0.55  # rad, half way
 TOES_OUT = np.deg2rad(8.0)
 
 
@@ -25,22 +27,6 @@ class Stance:
     lean: float
     feet: dict[Side, Foot]
     swing: float = 0.0  # rad by which the left arm is ahead, the right arm behind
-
-    def towards(self, other: Stance, share: float) -> Stance:
-        """Between two stances whose feet stand alike."""
-        mixed: dict[Side, Foot] = {
-            side: Foot(
-                (1 - share) * self.feet[side].ankle + share * other.feet[side].ankle,
-                (1 - share) * self.feet[side].yaw + share * other.feet[side].yaw,
-            )
-            for side in SIDES
-        }
-        return Stance(
-            (1 - share) * self.pelvis + share * other.pelvis,
-            (1 - share) * self.yaw + share * other.yaw,
-            (1 - share) * self.lean + share * other.lean,
-            mixed,
-        )
 
 
 def foot_at(size: Proportions, place: Vector, yaw: float, side: Side) -> Foot:
@@ -68,16 +54,37 @@ def standing(size: Proportions, place: Vector, yaw: float) -> Stance:
     return Stance(pelvis, yaw, 0.03, feet)
 
 
+def before_seat(size: Proportions, place: Vector, yaw: float) -> Vector:
+    """Where one stands to sit down on a seat whose middle is `place`, turned away from it."""
+    return np.array([*(place[:2] + (size.thigh - 0.03) * yawed(yaw)[:2, 0]), 0.0])
+
+
 def sitting(size: Proportions, place: Vector, yaw: float, seat: float) -> Stance:
     """On a seat of height `seat` whose middle is `place`; the feet stand in front of it."""
     ahead = yawed(yaw)[:, 0]
     pelvis = np.array([*(place[:2] - 0.06 * ahead[:2]), seat + 0.055 * size.stature])
-    front = pelvis + ahead * (size.thigh + 0.03)
+    front = before_seat(size, place, yaw)
     feet: dict[Side, Foot] = {side: foot_at(size, front, yaw, side) for side in SIDES}
     return Stance(pelvis, yaw, 0.02, feet)
 
 
-def leant(stance: Stance, share: float) -> Stance:
-    """The same, leaning forwards as people do between sitting and standing; most at half the way."""
-    lean = stance.lean + 0.55 * 16 * (share * (1 - share)) ** 2
-    return Stance(stance.pelvis, stance.yaw, lean, stance.feet, stance.swing)
+@dataclass(frozen=True)
+class SitDown:
+    """From standing before a seat to sitting on it, or up again."""
+
+    start_s: float
+    stood: Stance
+    sat: Stance
+    up: bool = False
+
+    @property
+    def end_s(self) -> float:
+        return self.start_s + SIT_S
+
+    def stance(self, time: float) -> Stance:
+        """The feet stay; the trunk leans forwards on the way."""
+        share = smooth((time - self.start_s) / SIT_S)
+        share = 1 - share if self.up else share
+        lean = (1 - share) * self.stood.lean + share * self.sat.lean + SIT_LEAN * 16 * (share * (1 - share)) ** 2
+        pelvis = (1 - share) * self.stood.pelvis + share * self.sat.pelvis
+        return Stance(pelvis, self.stood.yaw, lean, self.sat.feet)
