@@ -88,7 +88,8 @@ class HeadSettings:
     """How a head is found in a silhouette (thesis 6.2.3)."""
 
     method: Literal["outline", "thesis"] = "outline"
-    """`thesis`: the best ellipse by normalised correlation; `outline`: refined on the outline above the chin."""
+    """`thesis`: the best ellipse by normalised correlation; `outline`: an ellipse with nothing of the person above and
+    beside it, refined on the outline above the chin."""
     height_m: Positive = 0.24
     """Height of a head."""
     nearest_m: Positive = 1.0
@@ -99,7 +100,7 @@ class HeadSettings:
     """Sizes of the ellipse between the two, evenly spaced in the logarithm."""
     aspect: Positive = 0.78
     """Width of a head over its height."""
-    template_px: Count = 24
+    template_px: Count = 16
     """The silhouette is resampled so that a head has this height; correlation costs more with every pixel."""
     min_score: Fraction = 0.6
     """Least normalised correlation of a head."""
@@ -126,7 +127,7 @@ class MarkerSettings:
     """How a coloured marker on the finger is found (thesis 6.3.2)."""
 
     gates: Literal["sigma", "fixed"] = "sigma"
-    """`sigma`: `deviations` of the picked pixels, at least the fixed gates' half; `fixed`: the three numbers below."""
+    """`sigma`: `deviations` of the picked pixels, within half and twice the fixed gates; `fixed`: those three."""
     deviations: Positive = 3.0
     """Half width of a gate in standard deviations of the picked pixels."""
     hue_gate: Positive = 10.0
@@ -141,30 +142,34 @@ class MarkerSettings:
     """A marker of less saturation has no hue that could be told from grey."""
     min_area_px: Count = 7
     """Regions of this area or less are not the marker."""
-    min_eccentricity: Fraction = 0.75
-    """Rounder regions are not the marker."""
-    max_orientation_deg: Positive = 60.0
-    """Thesis only: steeper regions are not the marker."""
-    min_ratio: Positive = 3.0
-    """Thesis only: least ratio of the axes."""
-    max_ratio: Positive = 8.0
-    """Thesis only: largest ratio of the axes."""
+    reach_px: Count = 6
+    """How far outside the silhouette the marker may lie, which is often the outermost part of the person."""
+
+
+@dataclass(frozen=True)
+class ShapeSettings:
+    """The thesis's filters of a region's shape; pixels of the image as it is."""
+
+    min_area_px: Count
+    """Regions of this area or less are rejected."""
+    min_eccentricity: Fraction
+    """Rounder regions are rejected."""
+    max_orientation_deg: Positive
+    """Steeper regions are rejected."""
+    min_ratio: Positive
+    """Least ratio of the axes."""
+    max_ratio: Positive
+    """Largest ratio of the axes."""
 
 
 @dataclass(frozen=True)
 class ThesisSettings:
-    """The thesis's filters of the forearm (6.3.1); pixels of the image as it is."""
+    """The thesis's pointing regions: what shape they must have (6.3.1, 6.3.2)."""
 
-    min_area_px: Count = 100
-    """Regions of this area or less are no forearm."""
-    min_eccentricity: Fraction = 0.75
-    """Rounder regions are no forearm."""
-    max_orientation_deg: Positive = 55.0
-    """Steeper regions are no forearm."""
-    min_ratio: Positive = 2.0
-    """Least ratio of the axes."""
-    max_ratio: Positive = 11.0
-    """Largest ratio of the axes."""
+    forearm: ShapeSettings = field(default_factory=lambda: ShapeSettings(100, 0.75, 55.0, 2.0, 11.0))
+    """Of a forearm of bare skin."""
+    finger: ShapeSettings = field(default_factory=lambda: ShapeSettings(7, 0.75, 60.0, 3.0, 8.0))
+    """Of a marker on the finger."""
 
 
 @dataclass(frozen=True)
@@ -178,3 +183,15 @@ class PersonSettings:
     skin: SkinSettings = field(default_factory=SkinSettings)
     marker: MarkerSettings = field(default_factory=MarkerSettings)
     thesis: ThesisSettings = field(default_factory=ThesisSettings)
+
+
+def thesis_person() -> PersonSettings:
+    """The thesis's own methods and defaults at every stage: the baseline."""
+    return PersonSettings(
+        motion=MotionSettings(shrink=1),
+        background=BackgroundSettings(shrink=1, follow_light=False, shadows=False),
+        silhouette=SilhouetteSettings(shrink=1, people=1),
+        head=HeadSettings(method="thesis", template_px=24),
+        skin=SkinSettings(model="thesis"),
+        marker=MarkerSettings(gates="fixed"),
+    )

@@ -20,5 +20,5 @@ def is_grey(image: Image) -> bool:
 
 def scaled(image: Image, gains: Float[np.ndarray, "3"]) -> Image:
     """The image with blue, green and red times their gains."""
-    levels = np.clip(np.round(np.arange(256.0)[:, None] * gains), 0, 255).astype(np.uint8)
-    return cv2.LUT(image, levels[None])
+    channels = [cv2.convertScaleAbs(channel, alpha=float(gain)) for channel, gain in zip(cv2.split(image), gains)]
+    return cv2.merge(channels)

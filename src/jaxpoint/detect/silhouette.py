@@ -160,12 +160,19 @@ def silhouettes(mask: Mask, settings: SilhouetteSettings) -> list[Silhouette]:
         shape = (-(-size[0] // settings.shrink), -(-size[1] // settings.shrink))
         bits = cv2.resize(bits, shape, interpolation=cv2.INTER_NEAREST)
     bits = cv2.threshold(bits, 0, 255, cv2.THRESH_BINARY)[1]
-    for _ in range(settings.thicken):
-        bits = thickened(bits)
     side = 1 + 2 * round(settings.close_px / settings.shrink / 2)
-    bits = closed(bits, side)
+    margin = settings.thicken + side
+    x, y, width, height = cv2.boundingRect(bits)
+    part = np.s_[max(y - margin, 0) : y + height + margin, max(x - margin, 0) : x + width + margin]
+    bits[part] = _mended(bits[part], settings.thicken, side)
     labels, regions = label_regions(bits, min_area=max(1, int(settings.min_fraction * bits.size)))
     return [_silhouette(labels, region, settings.shrink, size) for region in regions[: settings.people]]
+
+
+def _mended(bits: UInt8[np.ndarray, "h w"], thicken: int, side: int) -> UInt8[np.ndarray, "h w"]:
+    for _ in range(thicken):
+        bits = thickened(bits)
+    return closed(bits, side)
 
 
 def thickened(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -215,7 +222,15 @@ def _shrunk(image: Image, shrink: int) -> Image:
 def _enlarged(mask: UInt8[np.ndarray, "h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
     if mask.shape == size[::-1]:
         return mask
-    return cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST)
+    shrink = round(size[0] / mask.shape[1])
+    x, y, width, height = cv2.boundingRect(mask)
+    whole = np.zeros(size[::-1], dtype=np.uint8)
+    if width:
+        part = mask[y : y + height, x : x + width]
+        part = cv2.resize(part, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_NEAREST)
+        target = whole[shrink * y : shrink * (y + height), shrink * x : shrink * (x + width)]
+        target[:] = part[: target.shape[0], : target.shape[1]]
+    return whole
 
 
 def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
@@ -244,10 +259,11 @@ def _remove_shadows(
     if not width:
         return
     part = np.s_[y : y + height, x : x + width]
-    seen, wanted = colour[part].astype(np.float32), room[part].astype(np.float32)
-    factor = seen[..., 0] / np.maximum(wanted[..., 0], 1)
+    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour[part]))
+    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room[part]))
+    factor = light / np.maximum(room_light, 1)
     # A colour fades towards grey (128) as it darkens.
-    faded = np.abs((seen[..., 1:] - 128) - factor[..., None] * (wanted[..., 1:] - 128)).sum(axis=-1)
+    faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
     shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
     mask[part][shadow] = 0
 
