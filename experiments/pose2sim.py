@@ -92,8 +92,8 @@ def moved(
     with jax.enable_x64(True):
         focal = rig.cameras.focal * scale
         center = (rig.cameras.center + 0.5) * scale - 0.5 + shift
-        sizes = rig.image_sizes if sizes is None else jnp.asarray(sizes, dtype=rig.image_sizes.dtype)
-        return eqx.tree_at(lambda r: (r.cameras.focal, r.cameras.center, r.image_sizes), rig, (focal, center, sizes))
+        whole = rig.image_sizes if sizes is None else jnp.asarray(sizes, dtype=rig.image_sizes.dtype)
+        return eqx.tree_at(lambda r: (r.cameras.focal, r.cameras.center, r.image_sizes), rig, (focal, center, whole))
 
 
 def fitted_shifts(rig: CameraRig, places: Labels) -> Float[np.ndarray, "C 2"]:
