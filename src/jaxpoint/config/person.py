@@ -73,8 +73,8 @@ class SilhouetteSettings:
 
     shrink: Count = 2
     """Regions are formed at 1/shrink of the image's size; 1 is the thesis's."""
-    thicken: Count = 1
-    """Times that regions grow by a pixel without merging."""
+    thicken: Count = 0
+    """Times that regions grow by a pixel without merging; 1 is the thesis's, and makes everyone too wide."""
     close_px: Count = 7
     """Side of the square that closes gaps."""
     min_fraction: Fraction = 0.002
@@ -190,7 +190,7 @@ def thesis_person() -> PersonSettings:
     return PersonSettings(
         motion=MotionSettings(shrink=1),
         background=BackgroundSettings(shrink=1, follow_light=False, shadows=False),
-        silhouette=SilhouetteSettings(shrink=1, people=1),
+        silhouette=SilhouetteSettings(shrink=1, thicken=1, people=1),
         head=HeadSettings(method="thesis", template_px=24),
         skin=SkinSettings(model="thesis"),
         marker=MarkerSettings(gates="fixed"),

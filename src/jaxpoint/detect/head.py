@@ -16,6 +16,7 @@ from jaxpoint.detect.silhouette import Silhouette
 
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
 CUT = 0.5  # of its width: a head that reaches so widely over the top of the image has no middle
+BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
 RING = (1.08, 1.6)  # of the ellipse's radius: between them is what must not belong to the person
 RING_OPENS = np.radians(100)  # rad from straight up
 FINE = 8  # points a pixel from which templates are drawn
@@ -90,10 +91,13 @@ def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
 def _judged(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
     if head.score < settings.min_score:
         return HeadReason.UNLIKE
+    if silhouette.box[1] > 0:
+        return HeadReason.FOUND
     half = settings.aspect * head.height_px / 2
     left = round(head.x - half) - silhouette.box[0]
-    above = silhouette.mask[0, max(left, 0) : max(left + round(2 * half), 0)]
-    is_cut = silhouette.box[1] == 0 and np.count_nonzero(above) > CUT * 2 * half
+    above = np.count_nonzero(silhouette.mask[0, max(left, 0) : max(left + round(2 * half), 0)])
+    crown = head.y - head.height_px / 2
+    is_cut = above > (CUT if crown <= 1 else BODY_ABOVE) * 2 * half
     return HeadReason.OUT_OF_VIEW if is_cut else HeadReason.FOUND
 
 

@@ -77,7 +77,7 @@ def intervals(above: Bool[np.ndarray, " N"], settings: MotionSettings) -> list[t
     return found
 
 
-def _small(image: Image, shrink: int) -> Image:
+def _small(image: Image, shrink: int) -> UInt8[np.ndarray, "h w 3"]:
     if shrink <= 1:
         return image
     size = (max(image.shape[1] // shrink, 1), max(image.shape[0] // shrink, 1))

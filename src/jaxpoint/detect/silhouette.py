@@ -212,7 +212,7 @@ def _silhouette(labels: np.ndarray, region: Region, shrink: int, size: tuple[int
     return Silhouette(mask, whole.box, whole, size)
 
 
-def _shrunk(image: Image, shrink: int) -> Image:
+def _shrunk(image: Image, shrink: int) -> UInt8[np.ndarray, "h w 3"]:
     if shrink == 1:
         return image
     size = (-(-image.shape[1] // shrink), -(-image.shape[0] // shrink))
