@@ -109,7 +109,7 @@ def recall_and_overlap(photographs: list[Hands], models: list[SkinModel]) -> tup
     """Means over the photographs, each with its own model."""
     figures = []
     for shot, model in zip(photographs, models):
-        found = skin_mask(shot.image, model)[shot.inside]
+        found = skin_mask(shot.image[shot.inside][None], model)[0]
         hand = shot.hand[shot.inside]
         both = np.count_nonzero(found & hand)
         figures.append((both / np.count_nonzero(hand), both / np.count_nonzero(found | hand)))

@@ -4,12 +4,12 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxpoint.config.person import HeadSettings, SilhouetteSettings
+from jaxpoint.config.person import HeadSettings, SilhouetteSettings, thesis_person
 from jaxpoint.detect.head import HeadReason, find_head, head_heights, head_template, ring_template
 from jaxpoint.detect.silhouette import silhouettes
 
 FOCAL = 500.0  # px; a head of 0.24 m at 1 to 6 m is 20 to 120 px high
-SETTINGS, THESIS = HeadSettings(), HeadSettings(method="thesis", template_px=24)
+SETTINGS, THESIS = HeadSettings(), thesis_person().head
 EXACT = SilhouetteSettings(shrink=1, close_px=1)
 
 

@@ -102,8 +102,8 @@ class HeadSettings:
     """Width of a head over its height."""
     template_px: Count = 16
     """The silhouette is resampled so that a head has this height; correlation costs more with every pixel."""
-    min_score: Fraction = 0.6
-    """Least normalised correlation of a head."""
+    min_score: Fraction = 0.7
+    """Least correlation of a head; the thesis's is 0.6."""
     upper_part: Fraction = 0.5
     """Part of the silhouette, from its top, that is searched."""
 
@@ -191,7 +191,7 @@ def thesis_person() -> PersonSettings:
         motion=MotionSettings(shrink=1),
         background=BackgroundSettings(shrink=1, follow_light=False, shadows=False),
         silhouette=SilhouetteSettings(shrink=1, thicken=1, people=1),
-        head=HeadSettings(method="thesis", template_px=24),
+        head=HeadSettings(method="thesis", template_px=24, min_score=0.6),
         skin=SkinSettings(model="thesis"),
         marker=MarkerSettings(gates="fixed"),
     )
