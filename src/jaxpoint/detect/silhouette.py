@@ -20,6 +20,7 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
+SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
 TILE = 16  # px, side of the places that `never_clears` looks at
 NEVER_CLEAR = 0.5  # part of the recording in which a place is covered: beyond it the median is not the room
 
@@ -134,15 +135,11 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     difference = cv2.absdiff(colour, background.colour)
     y, cr, cb = cv2.split(difference)
     total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
-    mask = cv2.compare(total, background.threshold, cv2.CMP_GT)
+    weak = cv2.compare(total, background.weak if settings.reach_px else background.threshold, cv2.CMP_GT)
     if settings.shadows:
-        _remove_shadows(mask, colour, background.colour, settings)
-    if settings.reach_px:
-        weak = cv2.compare(total, background.weak, cv2.CMP_GT)
-        if settings.shadows:
-            _remove_shadows(weak, colour, background.colour, settings)
-        mask = _grown(mask, weak, settings.reach_px)
-    return _enlarged(mask, background.size)
+        _remove_shadows(weak, colour, background.colour, settings)
+    mask = cv2.bitwise_and(cv2.compare(total, background.threshold, cv2.CMP_GT), weak)
+    return _enlarged(_grown(mask, weak, settings.reach_px), background.size)
 
 
 def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
@@ -267,7 +264,10 @@ def _remove_shadows(
     room: UInt8[np.ndarray, "h w 3"],
     settings: BackgroundSettings,
 ) -> None:
-    """Clear what is darker than the room by a bounded factor and of its colour. Changes `mask`."""
+    """Clear what is darker than the room by a bounded factor, of its colour and of its texture. Changes `mask`.
+
+    The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
+    """
     x, y, width, height = cv2.boundingRect(mask)
     if not width:
         return
@@ -278,6 +278,9 @@ def _remove_shadows(
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
     shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
+    mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
+    variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
+    shadow &= variance <= settings.shadow_texture**2
     mask[part][shadow] = 0
 
 
