@@ -1,0 +1,1 @@
+"""Heads seen by several cameras become tracks of people in space."""
