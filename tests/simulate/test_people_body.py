@@ -50,7 +50,7 @@ def test_every_surface_is_closed_and_turned_outwards(seed):
     actor, moment = points(seed)
     mesh = actor.mesh(moment)
     found = pieces(mesh.triangles)
-    assert len(found) == 3 + 2 * (2 + 11 + 3)  # trunk, neck, head; arms, hands, legs
+    assert len(found) == 3 + 2 * (1 + 2 + 11 + 3)  # trunk, neck, head; shoulders, arms, hands, legs
     for triangles in found:
         edges = Counter(tuple(edge) for t in triangles.tolist() for edge in zip(t, t[1:] + t[:1]))
         assert set(edges.values()) == {1}  # each edge once in each direction: closed, and turned alike
