@@ -76,7 +76,7 @@ class SimulatedSession:
     @property
     def rig(self) -> CameraRig:
         """The true cameras, m."""
-        return rig_of(list(self.viewpoints))
+        return rig_of(self.viewpoints)
 
     @property
     def objects(self) -> tuple[NamedObject, ...]:
