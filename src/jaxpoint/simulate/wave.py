@@ -126,7 +126,7 @@ class SimulatedWave:
             spots.append(Spot(self.light[frame], self.radius_m, PEAK * LED_BGR))
         strength = self.session.settings.wave.reflections
         for corners, share in self.session.scene.mirrors if strength > 0 else ():
-            place = _mirrored(corners, view.position, self.light[frame])
+            place = mirrored(corners, view.position, self.light[frame])
             if place is not None:
                 spots.append(Spot(place, 1.5 * self.radius_m, strength * share * PEAK * LED_BGR))
         return spots
@@ -169,7 +169,7 @@ def _dimly_lit(mesh: Mesh, light: np.ndarray, darkness: float) -> LitPeople:
     return LitPeople(points, points, mesh.triangles, mesh.parts, colour.astype(np.float32), none, none)
 
 
-def _mirrored(corners: np.ndarray, eye: np.ndarray, light: np.ndarray) -> np.ndarray | None:
+def mirrored(corners: np.ndarray, eye: np.ndarray, light: np.ndarray) -> np.ndarray | None:
     """Where an eye sees a light in a mirror (left-top, right-top, left-bottom, right-bottom corners), or None."""
     left_top, across, down = corners[0], corners[1] - corners[0], corners[2] - corners[0]
     normal = np.cross(down, across)
