@@ -65,7 +65,7 @@ class Row:
 
 def read_uci(folder: Path) -> tuple[np.ndarray, np.ndarray]:
     """Pixels of skin and others, (N, 3) and (M, 3), blue, green, red."""
-    rows = np.vstack([np.loadtxt(path, dtype=int) for path in sorted(folder.glob("Skin_NonSkin*.txt"))])
+    rows = np.vstack([np.loadtxt(path, dtype=np.int16) for path in sorted(folder.glob("Skin_NonSkin*.txt"))])
     skin, other = (rows[rows[:, 3] == label, :3].astype(np.uint8) for label in (1, 2))
     return skin, other
 
@@ -93,7 +93,8 @@ def _read(path: Path) -> np.ndarray:
 
 def other_at_recall(skin: np.ndarray, other: np.ndarray, extra: list[np.ndarray], seed: int) -> float:
     """Part of the other pixels that pass where 99 % of the skin does, each scored by a model without its colour."""
-    colours = np.unique(np.concatenate([skin, other]), axis=0, return_inverse=True)[1].ravel()
+    packed = np.concatenate([skin, other]).astype(np.int64) @ np.array([1 << 16, 1 << 8, 1])
+    colours = np.unique(packed, return_inverse=True)[1]
     folds = np.random.default_rng(seed).integers(0, FOLDS, colours.max() + 1)[colours]
     of_skin, of_other = folds[: len(skin)], folds[len(skin) :]
     scores = np.zeros(len(skin)), np.zeros(len(other))
@@ -108,7 +109,7 @@ def recall_and_overlap(photographs: list[Hands], models: list[SkinModel]) -> tup
     """Means over the photographs, each with its own model."""
     figures = []
     for shot, model in zip(photographs, models):
-        found = skin_mask(shot.image, model)[shot.inside]
+        found = skin_mask(shot.image[shot.inside][None], model)[0]
         hand = shot.hand[shot.inside]
         both = np.count_nonzero(found & hand)
         figures.append((both / np.count_nonzero(hand), both / np.count_nonzero(found | hand)))

@@ -38,7 +38,7 @@ class AxisLine:
     direction: Float[np.ndarray, "2"]  # unit length; its sign has no meaning
     start: float  # px
     end: float  # px
-    width: float  # px, median over the slices
+    width: float  # px, area over length
     residual: float  # px, robust deviation of the slices' midpoints from the line
 
     @property
@@ -100,7 +100,7 @@ def axis_line(mask: Mask) -> AxisLine | None:
     direction = vectors[:, 1]
     if variance[1] < MIN_SLICES**2 / 12:
         return None
-    residual = width = 0.0
+    residual = 0.0
     for _ in range(ROUNDS):
         along, center, widths = _slices(pixels - middle, direction)
         if len(along) < MIN_SLICES:
@@ -109,14 +109,14 @@ def axis_line(mask: Mask) -> AxisLine | None:
         normal = np.array([-direction[1], direction[0]])
         middle = middle + offset * normal
         direction = (direction + slope * normal) / np.hypot(1.0, slope)
-        width = float(np.median(widths))
     along = (pixels - middle) @ direction
-    return AxisLine(middle, direction, float(along.min()) - 0.5, float(along.max()) + 0.5, width, residual)
+    start, end = float(along.min()) - 0.5, float(along.max()) + 0.5
+    return AxisLine(middle, direction, start, end, len(pixels) / (end - start), residual)
 
 
 def _pixels(mask: Mask) -> Float[np.ndarray, "N 2"]:
     found = cv2.findNonZero(np.ascontiguousarray(mask).view(np.uint8))
-    return np.zeros((0, 2)) if found is None else found[:, 0].astype(float)
+    return np.zeros((0, 2)) if found is None else found.reshape(-1, 2).astype(float)
 
 
 def _slices(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -13,8 +15,15 @@ from jaxpoint.config.person import HeadSettings
 from jaxpoint.detect.silhouette import Silhouette
 
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
-OUTSIDE = 0.1  # of its height: more of a head beyond the image leaves its middle unknown
-LEAST_PART = 1 / 11  # of the silhouette's height: a head is a ninth of a person who stands with an arm raised
+CUT = 0.5  # of its width: a head that reaches so widely over the top of the image has no middle
+BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
+OF_AREA = 0.35  # height of a head over the root of a silhouette's area: 0.30 to 0.42 from all sides, arms up or down
+AREA_RANGE = (0.6, 2.0)  # of that height; more where furniture hides most of a person
+AREA_SIGMA = (0.25, 0.45)  # of its logarithm, below and above
+AREA_WEIGHT = 0.1  # of a correlation, at one sigma
+RING = (1.08, 1.6)  # of the ellipse's radius: between them is what must not belong to the person
+RING_OPENS = np.radians(100)  # rad from straight up
+FINE = 8  # points a pixel from which templates are drawn
 
 ANGLES = np.radians(np.linspace(-105, 105, 43))  # rad from straight up: the outline above the chin
 RADII = np.linspace(0.4, 1.6, 49)  # of the expected outline, where it is looked for
@@ -41,7 +50,7 @@ class Head:
 
     x: float  # px
     y: float  # px
-    score: float  # normalised correlation, -1..1
+    score: float  # correlation, -1..1
     height_px: float
     reason: HeadReason
 
@@ -59,21 +68,27 @@ def find_head(silhouette: Silhouette, focal_px: float, settings: HeadSettings) -
         focal_px: focal length of the camera, px; it gives the sizes that a head can have.
         settings: `thesis` stops after the correlation.
     """
-    height = silhouette.box[3]
+    height, outline = silhouette.box[3], settings.method == "outline"
     heights = head_heights(focal_px, settings)
     if height < heights[0]:
         return _missing(silhouette, HeadReason.TOO_SMALL)
-    if settings.method == "outline":
-        heights = heights[heights >= LEAST_PART * height]
+    expected = OF_AREA * np.sqrt(silhouette.region.area)
+    if outline:
+        heights = heights[(heights >= AREA_RANGE[0] * expected) & (heights <= AREA_RANGE[1] * expected)]
     heights = heights[heights <= height]
     if not len(heights):
         return _missing(silhouette, HeadReason.NO_SIZE_FITS)
     peaks = [_correlate(silhouette.mask, float(size), settings) for size in heights]
-    x, y, score, size = max(peaks, key=lambda peak: peak[2])
-    if settings.method == "outline" and score >= settings.min_score:
+    x, y, score, size = max(peaks, key=lambda peak: peak[2] - (_unlikely(peak[3] / expected) if outline else 0))
+    if outline and score >= settings.min_score:
         x, y, size = _fit_outline(silhouette.mask, x, y, size, settings.aspect)
-    x, y = x + silhouette.box[0], y + silhouette.box[1]
-    return Head(x, y, score, size, _judged(y, size, score, silhouette, settings))
+    head = Head(x + silhouette.box[0], y + silhouette.box[1], score, size, HeadReason.FOUND)
+    return replace(head, reason=_judged(head, silhouette, settings))
+
+
+def _unlikely(ratio: float) -> float:
+    """What a head of `ratio` times the height that suits the person's area loses of its correlation."""
+    return AREA_WEIGHT * (math.log(ratio) / AREA_SIGMA[int(ratio > 1)]) ** 2
 
 
 def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
@@ -81,11 +96,17 @@ def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
     return Head(float(x), float(y), 0.0, 0.0, reason)
 
 
-def _judged(y: float, size: float, score: float, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
-    if score < settings.min_score:
+def _judged(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
+    if head.score < settings.min_score:
         return HeadReason.UNLIKE
-    reaches_out = silhouette.box[1] == 0 and y - size / 2 < -OUTSIDE * size
-    return HeadReason.OUT_OF_VIEW if reaches_out else HeadReason.FOUND
+    if silhouette.box[1] > 0:
+        return HeadReason.FOUND
+    half = settings.aspect * head.height_px / 2
+    left = round(head.x - half) - silhouette.box[0]
+    above = np.count_nonzero(silhouette.mask[0, max(left, 0) : max(left + round(2 * half), 0)])
+    crown = head.y - head.height_px / 2
+    is_cut = above > (CUT if crown <= 1 else BODY_ABOVE) * 2 * half
+    return HeadReason.OUT_OF_VIEW if is_cut else HeadReason.FOUND
 
 
 def head_heights(focal_px: float, settings: HeadSettings) -> Float[np.ndarray, " N"]:
@@ -94,14 +115,32 @@ def head_heights(focal_px: float, settings: HeadSettings) -> Float[np.ndarray, "
     return np.geomspace(size / settings.farthest_m, size / settings.nearest_m, settings.heights)
 
 
+@lru_cache(maxsize=16)
 def head_template(height: float, aspect: float) -> UInt8[np.ndarray, "h w"]:
     """A filled ellipse of 255 with a margin of 0; pixels on its outline hold the part that is inside."""
+    return _shrunk(_radius(height, aspect, MARGIN)[0] <= 1)
+
+
+@lru_cache(maxsize=16)
+def ring_template(height: float, aspect: float) -> Float32[np.ndarray, "h w"]:
+    """An ellipse of mean 1 less a ring of mean 1 around it, open below, where the neck and the shoulders are."""
+    radius, from_top = _radius(height, aspect, math.ceil((RING[1] - 1) * height / 2))
+    inside = _shrunk(radius <= 1).astype(np.float32)
+    ring = _shrunk((radius >= RING[0]) & (radius <= RING[1]) & (from_top <= RING_OPENS)).astype(np.float32)
+    return inside / inside.sum() - ring / ring.sum()
+
+
+def _radius(height: float, aspect: float, margin: int) -> tuple[Float[np.ndarray, "H W"], Float[np.ndarray, "H W"]]:
+    """Radius in half axes and angle from straight up (rad) on a grid `FINE` times finer than pixels."""
     half = np.array([height / 2, aspect * height / 2])
-    size = np.ceil(half).astype(int) + MARGIN
-    fine = 8
-    rows, columns = (((np.arange((2 * n + 1) * fine) + 0.5) / fine - n - 0.5) / h for n, h in zip(size, half))
-    inside = (rows[:, None] ** 2 + columns[None] ** 2 <= 1).astype(np.uint8) * np.uint8(255)
-    return cv2.resize(inside, (2 * int(size[1]) + 1, 2 * int(size[0]) + 1), interpolation=cv2.INTER_AREA)
+    size = np.ceil(half).astype(int) + margin
+    rows, columns = (((np.arange((2 * n + 1) * FINE) + 0.5) / FINE - n - 0.5) / h for n, h in zip(size, half))
+    return np.hypot(rows[:, None], columns[None]), np.abs(np.arctan2(columns[None], -rows[:, None]))
+
+
+def _shrunk(fine: Bool[np.ndarray, "H W"]) -> UInt8[np.ndarray, "h w"]:
+    bits = fine.view(np.uint8) * np.uint8(255)
+    return cv2.resize(bits, (fine.shape[1] // FINE, fine.shape[0] // FINE), interpolation=cv2.INTER_AREA)
 
 
 def _correlate(
@@ -112,7 +151,8 @@ def _correlate(
     Mask and template are resampled, as the cost of a correlation grows with the fourth power of the scale.
     """
     scale = min(1.0, settings.template_px / height)
-    template = head_template(scale * height, settings.aspect)
+    thesis = settings.method == "thesis"
+    template = (head_template if thesis else ring_template)(round(scale * height, 3), settings.aspect)
     rows, columns = template.shape[0] // 2, template.shape[1] // 2
     upper = max(round(settings.upper_part * mask.shape[0]), 1)
     part = mask[: upper + round(rows / scale)].view(np.uint8) * np.uint8(255)
@@ -120,7 +160,11 @@ def _correlate(
     factors = size[0] / part.shape[1], size[1] / part.shape[0]
     part = cv2.resize(part, size, interpolation=cv2.INTER_AREA)
     padded = cv2.copyMakeBorder(part, rows, rows, columns, columns, cv2.BORDER_CONSTANT, value=(0,))
-    scores = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)[: max(round(factors[1] * upper), 1)]
+    if thesis:
+        scores = cv2.matchTemplate(padded, template, cv2.TM_CCOEFF_NORMED)
+    else:
+        scores = cv2.matchTemplate(padded.astype(np.float32), template, cv2.TM_CCORR) / 255
+    scores = scores[: max(round(factors[1] * upper), 1)]
     _, score, _, (x, y) = cv2.minMaxLoc(scores)
     dx, dy = _vertex(scores[y], x), _vertex(scores[:, x], y)
     return (x + dx + 0.5) / factors[0] - 0.5, (y + dy + 0.5) / factors[1] - 0.5, score, height

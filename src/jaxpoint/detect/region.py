@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -31,6 +31,11 @@ class Region:
         """Major over minor axis."""
         return self.major / self.minor
 
+    def moved(self, x: int, y: int) -> Region:
+        """The same region in an image whose origin lies (x, y) px farther to the left and up."""
+        left, top, width, height = self.box
+        return replace(self, centroid=self.centroid + np.array([x, y]), box=(left + x, top + y, width, height))
+
     def crop(self, labels: Int32[np.ndarray, "H W"]) -> Bool[np.ndarray, "h w"]:
         """Its own mask, of the size of its box."""
         x, y, width, height = self.box
@@ -39,7 +44,14 @@ class Region:
 
 def label_regions(mask: Mask, min_area: int = 1) -> tuple[Int32[np.ndarray, "H W"], list[Region]]:
     """The 8-connected regions of at least `min_area` pixels, the largest first, and the image of labels."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(_bytes(mask), connectivity=8)
+    pixels = _bytes(mask)
+    labels = np.zeros(pixels.shape, dtype=np.int32)
+    x, y, width, height = cv2.boundingRect(pixels)
+    if not width:
+        return labels, []
+    part = np.s_[y : y + height, x : x + width]  # the rest would cost as much as the regions
+    _, labels[part], stats, _ = cv2.connectedComponentsWithStats(pixels[part], connectivity=8)
+    stats[:, :2] += (x, y)
     areas = stats[1:, cv2.CC_STAT_AREA]
     order = 1 + np.argsort(-areas, kind="stable")
     return labels, [_shape(labels, int(label), stats[label]) for label in order if areas[label - 1] >= min_area]

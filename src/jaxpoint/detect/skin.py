@@ -98,8 +98,8 @@ def skin_likelihood(image: Image, model: SkinModel) -> Float32[np.ndarray, "H W"
 
 
 def fit_skin(
-    skin_bgr: Sequence[UInt8[np.ndarray, "N 3"]] | UInt8[np.ndarray, "N 3"],
-    other_bgr: Sequence[UInt8[np.ndarray, "M 3"]] | UInt8[np.ndarray, "M 3"],
+    skin_bgr: Sequence[UInt8[np.ndarray, "_ 3"]] | UInt8[np.ndarray, "_ 3"],
+    other_bgr: Sequence[UInt8[np.ndarray, "_ 3"]] | UInt8[np.ndarray, "_ 3"],
 ) -> SkinModel:
     """A model from pixels of skin and of anything else; several sets of pixels make a Gaussian each, of equal weight.
 
@@ -146,9 +146,9 @@ def _gaussian(pixels: UInt8[np.ndarray, "N 3"], what: str) -> ColourGaussian:
     if is_grey(pixels[:, None]):
         raise ValueError(f"The pixels of {what} are grey; skin is told by its colour.")
     colours = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2YCrCb)[0, :, 1:].astype(float)
-    covariance = np.cov(colours.T) + VARIANCE_FLOOR * np.eye(2)
-    mean = colours.mean(axis=0).tolist()
-    return ColourGaussian((mean[0], mean[1]), (covariance[0, 0], covariance[0, 1], covariance[1, 1]))
+    (a, b), (_, c) = (np.cov(colours.T) + VARIANCE_FLOOR * np.eye(2)).tolist()
+    cr, cb = colours.mean(axis=0).tolist()
+    return ColourGaussian((cr, cb), (a, b, c))
 
 
 @lru_cache(maxsize=8)
