@@ -72,9 +72,9 @@ class AccurateSettings:
 
     elbow_flexion_deg: Normal = Normal(12.0, 7.0, 3.0, 30.0)
     """By how much the elbow is bent; a person's own mean."""
-    swivel_deg: Normal = Normal(75.0, 15.0, 30.0, 110.0)
+    swivel_deg: Normal = Normal(60.0, 15.0, 20.0, 100.0)
     """How far the elbow stands out from straight below the arm; a person's own."""
-    aim_error_deg: Normal = Normal(0.0, 0.05, -0.15, 0.15)
+    aim_error_deg: Normal = Normal(0.0, 0.03, -0.07, 0.07)
     """By how much the fingertip leaves the line from the eye to the target, per axis and trial."""
     finger_error_deg: Normal = Normal(0.0, 4.0, -10.0, 10.0)
     """By how much the finger itself leaves that line, per axis; a person's own mean."""

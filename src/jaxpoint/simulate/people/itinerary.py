@@ -83,8 +83,10 @@ class Itinerary:
         if self.seat is None:
             return
         seat, self.seat = self.seat, None
-        self._rest(HANGING)
-        self._add(SitDown(self.now, self.stance, seat, up=True))
+        rise = SitDown(self.now, self.stance, seat, up=True)
+        self._add(rise)
+        # Hands leave the lap when it has gone.
+        self.rests.append(RestFrom(rise.start_s + 0.6 * (rise.end_s - rise.start_s), HANGING))
 
     def rest_as(self, rest: dict[Side, Rest]) -> None:
         self._rest(rest)

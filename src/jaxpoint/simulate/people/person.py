@@ -60,7 +60,7 @@ def draw_person(rng: np.random.Generator, number: int, settings: LooksSettings) 
         handed="left" if rng.random() < settings.left_handed else "right",
         tone=tone,
         skin=skin.skin_albedo(rng, tone),
-        hair=_cloth(rng, skin.HAIR),
+        hair=_cloth(rng, skin.HAIR if tone < 0.5 else skin.LIGHT_HAIR),
         hair_style="bald" if head < settings.bald else "long" if head > 1 - settings.long_hair else "short",
         shirt=_cloth(rng, skin.CLOTHES_LIKE_SKIN if which == "shirt" else skin.CLOTHES),
         pattern="plain" if rng.random() >= settings.patterned else "stripes" if rng.random() < 0.5 else "mottled",

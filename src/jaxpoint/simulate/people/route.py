@@ -49,6 +49,11 @@ def find_route(room: Floor, start: Vector, end: Vector) -> Route | None:
     return None if corners is None else _rounded(corners)
 
 
+def line_route(start: Vector, end: Vector) -> Route:
+    """Straight from one place to another."""
+    return _rounded(np.stack([start[:2], end[:2]]))
+
+
 def _straight(room: Floor, start: Vector, end: Vector) -> np.ndarray | None:
     """Both ends, if nothing stands between them; the ends themselves may be close to a chair or a door."""
     steps = max(int(np.linalg.norm(end[:2] - start[:2]) / 0.05), 2)

@@ -37,7 +37,7 @@ HEM_M = 0.012
 # Half axes of the head over stature: depth, breadth, height (chin to crown 0.130).
 HEAD = np.array([0.056, 0.0445, 0.065])
 EYE = np.array([0.87, 0.40, 0.02])  # of those half axes
-AROUND, LEVELS = 22, 17
+AROUND, LEVELS = 24, 17
 
 
 def trunk_surface(person: Person) -> Surface:
@@ -104,6 +104,6 @@ def _hair(person: Person, ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
 def _features(ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
     """Darker eyes, brows and mouth."""
     x, y, z = ball.T
-    eye = np.exp(-(((np.abs(y) - 0.40) / 0.14) ** 2) - ((z - 0.06) / 0.10) ** 2)
+    eye = np.exp(-(((np.abs(y) - 0.40) / 0.17) ** 2) - ((z - 0.06) / 0.12) ** 2)
     mouth = 0.5 * np.exp(-((y / 0.22) ** 2) - ((z + 0.55) / 0.07) ** 2)
-    return 1 - 0.6 * np.clip((eye + mouth) * (x > 0), 0.0, 1.0)
+    return 1 - 0.7 * np.clip((eye + mouth) * (x > 0), 0.0, 1.0)
