@@ -70,13 +70,16 @@ def test_a_small_bright_ball_appears_where_the_rig_projects_it(room, views):
 
 def test_labels_follow_the_limbs(room, views):
     forearm = arm_at(PLACE)
-    hand = arm_at(PLACE + [0.0, 0.0, 0.33], Part.RIGHT_HAND, (0.0, 0.0, 0.06))
+    hand = arm_at(PLACE + np.array([0.0, 0.0, 0.33]), Part.RIGHT_HAND, (0.0, 0.0, 0.06))
     mesh = Mesh.joined([forearm, replace(hand, parts=hand.parts + np.uint8(32))])
     people = light_people(mesh, mesh, room[1])
     rig = rig_of(views)
     for camera, view in enumerate(views):
         labels = draw_people(view, nothing_behind(SIZE), people).labels
-        for place, label in ((PLACE + [0, 0, 0.12], label_of(Part.RIGHT_FOREARM, 0)), (PLACE + [0, 0, 0.36], 32 + 10)):
+        for place, label in (
+            (PLACE + np.array([0, 0, 0.12]), label_of(Part.RIGHT_FOREARM, 0)),
+            (PLACE + np.array([0, 0, 0.36]), 32 + 10),
+        ):
             x, y = np.rint(np.asarray(rig.project(place))[camera]).astype(int)
             assert labels[y, x] == label
         assert set(np.unique(labels)) == {0, Part.RIGHT_FOREARM, 32 + Part.RIGHT_HAND}
@@ -116,7 +119,7 @@ def test_what_leaves_the_image_counts_as_not_visible(room, views):
 
 def test_motion_smears_over_the_way_gone(room, views):
     view = views[1]
-    mesh = Capsule(PLACE, PLACE + [0, 0, 0.3], 0.02).mesh(WHITE)
+    mesh = Capsule(PLACE, PLACE + np.array([0, 0, 0.3]), 0.02).mesh(WHITE)
     step = 0.1 * view.rotation[0]
     moved = replace(mesh, vertices=mesh.vertices + step)
     still = light_people(mesh, mesh, room[1])
@@ -138,7 +141,7 @@ def test_people_shade_the_floor_and_not_the_ceiling(room, views):
     assert np.isfinite(empty.image).all()
     assert np.isfinite(empty.depth).mean() > 0.99
     middle = np.append(scene.free_floor.mean(axis=0), 0.0)
-    mesh = Capsule(middle + [0, 0, 0.3], middle + [0, 0, 1.6], 0.25).mesh(WHITE)
+    mesh = Capsule(middle + np.array([0, 0, 0.3]), middle + np.array([0, 0, 1.6]), 0.25).mesh(WHITE)
     shown = draw_people(view, empty, light_people(mesh, mesh, light))
     darker = empty.image.mean(axis=2) - shown.image.mean(axis=2)
     room_only = shown.labels == 0
@@ -157,7 +160,9 @@ def test_furniture_hides_people(room, views):
     empty = render_room(view, scene, light)
     shares = []
     for height in (-0.08, 0.2):
-        ball = Capsule(table.center + [0, 0, height], table.center + [0, 0, height], 0.03).mesh(WHITE)
+        ball = Capsule(table.center + np.array([0, 0, height]), table.center + np.array([0, 0, height]), 0.03).mesh(
+            WHITE
+        )
         people = light_people(ball, ball, light)
         alone = draw_people(view, nothing_behind(SIZE), people).samples[1:].sum()
         shares.append(draw_people(view, empty, people).samples[1:].sum() / alone)
