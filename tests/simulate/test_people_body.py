@@ -9,7 +9,7 @@ import pyvista
 
 from jaxpoint.config.people import LooksSettings, PeopleSettings, Uniform
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
-from jaxpoint.simulate.people import skin
+from jaxpoint.simulate.people import colours
 from jaxpoint.simulate.people.actor import Actor, RestFrom, Stay
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.person import draw_person
@@ -50,7 +50,7 @@ def test_every_surface_is_closed_and_turned_outwards(seed):
     actor, moment = points(seed)
     mesh = actor.mesh(moment)
     found = pieces(mesh.triangles)
-    assert len(found) == 3 + 2 * (2 + 11 + 3)  # trunk, neck, head; arms, hands, legs
+    assert len(found) == 3 + 2 * (1 + 2 + 11 + 3)  # trunk, neck, head; shoulders, arms, hands, legs
     for triangles in found:
         edges = Counter(tuple(edge) for t in triangles.tolist() for edge in zip(t, t[1:] + t[:1]))
         assert set(edges.values()) == {1}  # each edge once in each direction: closed, and turned alike
@@ -128,8 +128,8 @@ def test_joints_and_surface_belong_together():
 
 @pytest.mark.parametrize(("tone", "low", "high"), [(0.0, 33, 43), (0.5, 53, 62), (1.0, 63, 73)])
 def test_skin_has_the_lightness_published(tone, low, high):
-    """OpenCV's CIELAB of many people of one tone; see `skin.TONES`."""
-    albedo = np.array([skin.skin_albedo(np.random.default_rng(i), tone) for i in range(200)], np.float32)
+    """OpenCV's CIELAB of many people of one tone; see `colours.TONES`."""
+    albedo = np.array([colours.skin_albedo(np.random.default_rng(i), tone) for i in range(200)], np.float32)
     encoded = np.where(albedo <= 0.0031308, 12.92 * albedo, 1.055 * albedo ** (1 / 2.4) - 0.055)
     lab = cv2.cvtColor(encoded[None].astype(np.float32), cv2.COLOR_RGB2LAB)[0]
     assert low < lab[:, 0].mean() < high

@@ -53,11 +53,11 @@ def joints_of(actor: Actor) -> dict[str, np.ndarray]:
 
 
 def test_motion_is_smooth(session):
-    """At 25 frames a second trunk and head go less than 6 cm from frame to frame, no joint more than 20 cm."""
+    """At 25 frames a second trunk and head go less than 6 cm from frame to frame, no joint more than 22 cm."""
     for joints in session[1]:
         for name, path in joints.items():
             moved = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
-            assert moved < (0.06 if name in ("pelvis", "neck", "head") else 0.20), name
+            assert moved < (0.06 if name in ("pelvis", "neck", "head") else 0.22), name
 
 
 def test_nothing_jumps_where_one_move_ends_and_the_next_begins(session):

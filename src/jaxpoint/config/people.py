@@ -51,7 +51,7 @@ class LooksSettings:
     build: Uniform = Uniform(0.90, 1.15)
     """Girth of trunk and limbs over that of an average build."""
     skin_tone: Uniform = Uniform(0.0, 1.0)
-    """0 is the darkest, 1 the lightest skin of `simulate.people.skin`."""
+    """0 is the darkest, 1 the lightest skin of `simulate.people.colours`."""
     sleeves: SleeveShares = field(default_factory=SleeveShares)
     clothes_like_skin: Fraction = 0.22
     """Share of people whose shirt or trousers are beige, pink or brown."""

@@ -104,4 +104,4 @@ def _is_crossing(walks: list[Walk]) -> bool:
     apart = np.linalg.norm(places[0] - places[1], axis=1)
     moment = times[np.argmin(apart)]
     both = all(walk.start_s + 0.6 < moment < walk.end_s - 0.6 for walk in walks)
-    return both and NEAR_M < apart.min() < FAR_M and min(apart[0], apart[-1]) > FAR_M
+    return bool(both and NEAR_M < apart.min() < FAR_M and min(apart[0], apart[-1]) > FAR_M)

@@ -24,8 +24,9 @@ class Chair:
     seat_m: float = 0.45
 
     @property
-    def place(self) -> Float[np.ndarray, "2"]:
-        return np.array([self.x_m, self.y_m])
+    def place(self) -> Vector:
+        """On the floor, below the middle of the seat."""
+        return np.array([self.x_m, self.y_m, 0.0])
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,13 +36,12 @@ class Target:
     place: Vector
 
 
-@dataclass
+@dataclass(frozen=True)
 class Performer:
-    """A person, how they point, and what they have done so far."""
+    """A person and how they point."""
 
     person: Person
     habit: Habit
-    gestures: list[Gesture] = field(default_factory=list)
 
     @staticmethod
     def drawn(rng: np.random.Generator, number: int, settings: PeopleSettings) -> Performer:

@@ -96,7 +96,7 @@ def _go_somewhere(rng, part: Itinerary, settings: PeopleSettings, room: Floor) -
 def usable_chairs(size: Proportions, room: Floor) -> list[Chair]:
     """Chairs before which there is room to stand."""
     fronts = [before_seat(size, chair.place, chair.yaw)[None, :2] for chair in room.chairs]
-    cleared = [room.without(np.array([*chair.place, 0.0])) for chair in room.chairs]
+    cleared = [room.without(chair.place) for chair in room.chairs]
     return [c for c, front, floor in zip(room.chairs, fronts, cleared) if floor.is_free(front, STAND_M).all()]
 
 
