@@ -23,7 +23,7 @@ SETTINGS = SimulationSettings(
     frames_per_second=5.0,
     viewpoints=ViewpointSettings(cameras=3, size=(384, 216)),
     people=PeopleSettings(play="gestures", gestures=2, people=1, empty_s=0.4),
-    faults=FaultSettings(stops=((1, 3.0),), dropped=0.05),
+    faults=FaultSettings(stops=((1, 3.0),), dropped=0.05, doubled=0.1),
 )
 
 
@@ -124,14 +124,23 @@ def test_the_written_truth_is_that_of_the_session(folder, session):
     np.testing.assert_allclose([float(row[f"{axis}_m"]) for axis in "xyz"], expected, atol=1e-5)
     views = rows(folder / "truth" / "views.csv")
     moments, cameras = np.nonzero(session.clocks.present)
-    assert len(views) == sum(len(session.present(session.time_of(moment))) for moment in moments)
+    shown = session.clocks.shown_s[moments, cameras]
+    assert len(views) == sum(len(session.present(float(time_s))) for time_s in shown)
     assert {view["camera"] for view in views} == {session.rig.names[camera] for camera in cameras}
     objects = rows(folder / "objects.csv")
     assert len(objects) >= 20
     assert {thing["unit"] for thing in objects} == {"m"}
     assert len(rows(folder / "truth" / "people.csv")) == 1
-    mask = cv2.imread(str(folder / "truth" / "masks" / "cam_0" / f"{int(row['frame']):06d}.png"), -1)
-    np.testing.assert_array_equal(mask, session.frame(int(row["frame"]), 0).labels)
+    frame = next(frame for frame in session.frames() if frame.labels.any())
+    mask = cv2.imread(str(folder / "truth" / "masks" / f"cam_{frame.camera}" / f"{frame.frame:06d}.png"), -1)
+    np.testing.assert_array_equal(mask, frame.labels)
+
+
+def test_a_camera_that_repeats_itself_gives_the_same_image(session):
+    clocks = session.clocks
+    repeated = (clocks.source[1:] == clocks.source[:-1]) & clocks.present[1:] & clocks.present[:-1]
+    moment, camera = np.argwhere(repeated)[0]
+    np.testing.assert_array_equal(session.frame(moment, camera).image, session.frame(moment + 1, camera).image)
 
 
 def test_light_flickers_and_drifts_by_what_is_asked(session):
@@ -149,7 +158,7 @@ def test_asking_a_stopped_camera_is_an_error(session):
         session.frame(session.clocks.moments - 1, 1)
 
 
-def test_the_command_writes_once_and_replaces_only_by_force(tmp_path, capsys, monkeypatch):
+def test_the_command_writes_once_and_replaces_only_by_force(tmp_path, capsys, monkeypatch, session):
     config = tmp_path / "room.toml"
     config.write_text(
         "[simulate]\nempty_frames = 2\nframes_per_second = 2.0\n[simulate.people]\nplay = 'gestures'\nempty_s = 0.5\n"
@@ -168,6 +177,7 @@ def test_the_command_writes_once_and_replaces_only_by_force(tmp_path, capsys, mo
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
+        patch.setattr("jaxpoint.simulate.session.simulate_session", lambda *_: session)
         patch.setattr("jaxpoint.simulate.recording._write_joints", full)
         assert main([*command, "--force"]) == 3
     assert (tmp_path / "out" / "objects.csv").read_bytes() == before
