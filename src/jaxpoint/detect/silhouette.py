@@ -134,14 +134,16 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     difference = cv2.absdiff(colour, background.colour)
     y, cr, cb = cv2.split(difference)
     total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
-    mask = cv2.compare(total, background.threshold, cv2.CMP_GT)
-    if settings.shadows:
-        _remove_shadows(mask, colour, background.colour, settings)
-    if settings.reach_px:
-        weak = cv2.compare(total, background.weak, cv2.CMP_GT)
+    sure = cv2.compare(total, background.threshold, cv2.CMP_GT)
+    x, y, width, height = cv2.boundingRect(sure)
+    reach = settings.reach_px
+    part = np.s_[max(y - reach, 0) : y + height + reach, max(x - reach, 0) : x + width + reach]
+    mask = np.zeros_like(sure)
+    if width:
+        weak = cv2.compare(total[part], background.weak[part], cv2.CMP_GT)
         if settings.shadows:
-            _remove_shadows(weak, colour, background.colour, settings)
-        mask = _grown(mask, weak, settings.reach_px)
+            weak = cv2.bitwise_and(weak, _unshaded(colour[part], background.colour[part], settings))
+        mask[part] = _grown(cv2.bitwise_and(sure[part], weak), weak, reach)
     return _enlarged(mask, background.size)
 
 
@@ -149,7 +151,7 @@ def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach
     """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
     square = np.ones((3, 3), np.uint8)
     for _ in range(reach):
-        sure = cv2.bitwise_or(cv2.bitwise_and(cv2.dilate(sure, square), weak), sure)
+        sure = cv2.bitwise_and(cv2.dilate(sure, square), weak)
     return sure
 
 
@@ -261,24 +263,17 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
     return scaled(image, gain)
 
 
-def _remove_shadows(
-    mask: UInt8[np.ndarray, "h w"],
-    colour: UInt8[np.ndarray, "h w 3"],
-    room: UInt8[np.ndarray, "h w 3"],
-    settings: BackgroundSettings,
-) -> None:
-    """Clear what is darker than the room by a bounded factor and of its colour. Changes `mask`."""
-    x, y, width, height = cv2.boundingRect(mask)
-    if not width:
-        return
-    part = np.s_[y : y + height, x : x + width]
-    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour[part]))
-    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room[part]))
+def _unshaded(
+    colour: UInt8[np.ndarray, "h w 3"], room: UInt8[np.ndarray, "h w 3"], settings: BackgroundSettings
+) -> UInt8[np.ndarray, "h w"]:
+    """255 except where the image is darker than the room by a bounded factor and of its colour (Y, Cr, Cb)."""
+    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour))
+    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room))
     factor = light / np.maximum(room_light, 1)
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
     shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
-    mask[part][shadow] = 0
+    return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
 def _tiles(mask: UInt8[np.ndarray, "H W"]) -> Bool[np.ndarray, "R C"]:
