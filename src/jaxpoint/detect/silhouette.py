@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -20,8 +21,12 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
-TILE = 16  # px, side of the places that `never_clears` looks at
-NEVER_CLEAR = 0.5  # part of the recording in which a place is covered: beyond it the median is not the room
+CHANGED = 30  # grey levels, of the sum of the differences in Y, Cr, Cb of smoothed images
+TILES = 16  # places in a row of the image that `never_clears` looks at
+BUSY = 0.05  # part of a place that differs where something is
+NEVER_CLEAR = 0.7  # part of the recording: beyond it a place is not said to be clear
+LEAST_TILES = 4  # fewer are a clock, a plant, a street where people pass
+MOMENTS = 40  # images that are compared
 
 
 @dataclass(frozen=True)
@@ -104,17 +109,25 @@ def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
-    """Largest connected part of the image (0..1) that is covered in more than half of a recording.
+    """Largest connected part of the image (0..1) in which something changes through most of a recording; 0 if small.
 
     There the median is a person who never leaves the spot, and not the room. One who does not move at all cannot be
-    told from furniture; one who stands and balances, or sits and works, is: places that change against the median or
-    between images in more than half of the recording, however little of the person changes at a time.
+    told from furniture; one who balances, or sits and works, can. A place is busy in an image when a part of it differs
+    from the image before or from the median, and a person is `LEAST_TILES` places or more.
+
+    Raises:
+        InsufficientDataError: fewer than `min_frames` images.
     """
-    background = learn_background(images, settings)
-    step = max(1, len(images) // settings.max_frames)
-    masks = [foreground(images[i], background, replace(settings, shadows=False)) for i in range(0, len(images), step)]
-    busy = np.mean([_tiles(mask) for mask in masks], axis=0)
-    _, regions = label_regions(busy > NEVER_CLEAR)
+    chosen = np.unique(np.linspace(0, len(images) - 1, min(len(images), MOMENTS)).round().astype(int))
+    shrink = shrink_of(images[0].shape[1], settings.width_px)
+    smooth = [cv2.GaussianBlur(shrunk(images[i], shrink), (5, 5), 0) for i in chosen]
+    level = np.median(smooth[::2], axis=0).astype(np.uint8)
+    if settings.follow_light:
+        smooth = [_in_light_of(level, image) for image in smooth]
+    room, *colours = (cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb) for image in (level, *smooth))
+    pairs = [cv2.max(cv2.absdiff(before, after), cv2.absdiff(after, room)) for before, after in pairwise(colours)]
+    busy = np.mean([_busy(difference) for difference in pairs], axis=0)
+    _, regions = label_regions(busy > NEVER_CLEAR, min_area=LEAST_TILES)
     return regions[0].area / busy.size if regions else 0.0
 
 
@@ -276,7 +289,10 @@ def _unshaded(
     return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
-def _tiles(mask: UInt8[np.ndarray, "H W"]) -> Bool[np.ndarray, "R C"]:
-    """Which squares of the image hold any foreground worth the name."""
-    size = (max(1, mask.shape[1] // TILE), max(1, mask.shape[0] // TILE))
-    return cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 255 * 0.05
+def _busy(difference: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "R C"]:
+    """Which squares of the image differ in more than `BUSY` of their pixels."""
+    y, cr, cb = cv2.split(difference)
+    changed = cv2.compare(cv2.add(cv2.add(y, cr), cb), np.full_like(y, CHANGED), cv2.CMP_GT)
+    side = max(difference.shape[1] // TILES, 1)
+    size = (max(difference.shape[1] // side, 1), max(difference.shape[0] // side, 1))
+    return cv2.resize(changed, size, interpolation=cv2.INTER_AREA) > 255 * BUSY
