@@ -63,6 +63,8 @@ class BackgroundSettings:
     """A shadow keeps at least this fraction of the light."""
     shadow_colour: Positive = 8.0
     """Largest sum of the differences in Cr and Cb of a shadow, grey levels."""
+    shadow_texture: Positive = 0.05
+    """Largest standard deviation, among neighbours, of the factor by which a shadow darkens the room."""
     min_frames: Count = 20
     """Fewest images from which a background is learnt."""
     max_frames: Count = 100

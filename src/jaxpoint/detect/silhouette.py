@@ -22,6 +22,7 @@ MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
 CHANGED = 30  # grey levels, of the sum of the differences in Y, Cr, Cb of smoothed images
+SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
 TILES = 16  # places in a row of the image that `never_clears` looks at
 BUSY = 0.05  # part of a place that differs where something is
 NEVER_CLEAR = 0.7  # part of the recording: beyond it a place is not said to be clear
@@ -279,13 +280,19 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
 def _unshaded(
     colour: UInt8[np.ndarray, "h w 3"], room: UInt8[np.ndarray, "h w 3"], settings: BackgroundSettings
 ) -> UInt8[np.ndarray, "h w"]:
-    """255 except where the image is darker than the room by a bounded factor and of its colour (Y, Cr, Cb)."""
+    """255 except where the image is the room, darker by a bounded and even factor and of its colour (Y, Cr, Cb).
+
+    The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
+    """
     light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour))
     room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room))
     factor = light / np.maximum(room_light, 1)
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
     shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
+    mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
+    variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
+    shadow &= variance <= settings.shadow_texture**2
     return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
