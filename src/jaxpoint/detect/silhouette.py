@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
 from jaxpoint.detect.background import median_background
@@ -20,8 +20,12 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
-TILE = 16  # px, side of the places that `never_clears` looks at
-NEVER_CLEAR = 0.5  # part of the recording in which a place is covered: beyond it the median is not the room
+GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
+GHOST_IMAGES = 30  # that it looks at
+GHOST_REGION = 0.001  # of the image: smaller regions are noise
+GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
+GHOST_RATIO = 1.5  # of the stronger edge to the weaker one
+MIN_OUTLINE = 200  # px: a shorter outline in all images together tells nothing
 
 
 @dataclass(frozen=True)
@@ -97,18 +101,25 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
 
 
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
-    """Largest connected part of the image (0..1) that is covered in more than half of a recording.
+    """Part (0..1) of the foreground's outlines that are edges of the background and not of the image.
 
-    There the median is a person who never leaves the spot, and not the room. One who does not move at all cannot be
-    told from furniture; one who stands and balances, or sits and works, is: places that change against the median or
-    between images in more than half of the recording, however little of the person changes at a time.
+    The outline of a person is an edge of the image. Where the median has taken a person who hardly leaves for the room,
+    the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
+    holds somebody. Of one who does not move at all nothing can be known.
     """
-    background = learn_background(images, replace(settings, shrink=max(settings.shrink, 2)))
-    step = max(1, len(images) // settings.max_frames)
-    masks = [foreground(images[i], background, replace(settings, shadows=False)) for i in range(0, len(images), step)]
-    busy = np.mean([_tiles(mask) for mask in masks], axis=0)
-    _, regions = label_regions(busy > NEVER_CLEAR)
-    return regions[0].area / busy.size if regions else 0.0
+    shrink = max(settings.shrink, round(images[0].shape[1] / GHOST_WIDTH))
+    shrunk = replace(settings, shrink=shrink, shadows=False)
+    background = learn_background(images, shrunk)
+    room = _edges(background.level)
+    left = real = 0
+    for i in np.unique(np.linspace(0, len(images) - 1, GHOST_IMAGES).round().astype(int)):
+        seen = _edges(_shrunk(images[i], shrunk.shrink))
+        outline = _outline(foreground(images[i], background, shrunk), background.level.shape)
+        ours, others = seen[outline], room[outline]
+        clear = np.maximum(ours, others) > GHOST_EDGE
+        left += np.count_nonzero(clear & (others > GHOST_RATIO * ours))
+        real += np.count_nonzero(clear & (ours > GHOST_RATIO * others))
+    return left / max(left + real, MIN_OUTLINE)
 
 
 def foreground(image: Image, background: RoomBackground, settings: BackgroundSettings) -> UInt8[np.ndarray, "H W"]:
@@ -268,7 +279,19 @@ def _remove_shadows(
     mask[part][shadow] = 0
 
 
-def _tiles(mask: UInt8[np.ndarray, "H W"]) -> Bool[np.ndarray, "R C"]:
-    """Which squares of the image hold any foreground worth the name."""
-    size = (max(1, mask.shape[1] // TILE), max(1, mask.shape[0] // TILE))
-    return cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 255 * 0.05
+def _edges(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Largest gradient within a pixel of each."""
+    smooth = cv2.GaussianBlur(small, (3, 3), 0)
+    parts = [cv2.Sobel(smooth, cv2.CV_32F, 1 - axis, axis) for axis in (0, 1)]
+    strength = np.sqrt(sum((part**2).sum(axis=2) for part in parts))
+    return cv2.dilate(strength, np.ones((3, 3), np.uint8))
+
+
+def _outline(mask: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Border of the foreground's larger regions."""
+    small = cv2.resize(mask, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    square = np.ones((3, 3), np.uint8)
+    small = cv2.morphologyEx(closed(small, 3), cv2.MORPH_OPEN, square)
+    labels, regions = label_regions(small, min_area=max(1, int(GHOST_REGION * small.size)))
+    kept = np.isin(labels, [region.label for region in regions]).astype(np.uint8)
+    return cv2.morphologyEx(kept, cv2.MORPH_GRADIENT, square) > 0
