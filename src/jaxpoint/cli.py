@@ -30,11 +30,12 @@ from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
 from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, checked, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
-Command = DetectLed | DetectPerson | Check | Calibrate | Align | Validate | Diff | Doctor | Demo
+Command = DetectLed | DetectPerson | Check | Calibrate | Align | Validate | Diff | Doctor | Demo | Simulate
 COMMANDS = get_args(Command)
 GROUPS = {"detect": "Find something in the images of every camera."}
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.

@@ -23,6 +23,10 @@ class TrackSettings:
     """Heads lie this high above the floor (z = 0), lowest and highest."""
     separation_m: Positive = 0.2
     """The centres of two heads are never nearer than this."""
+    false_heads_m2: Positive = 4.0
+    """Heads seen by chance for each square metre across a line of sight: another person's, or none at all."""
+    new_heads_m3: Positive = 1.0
+    """How many new heads to expect in a cubic metre of a frame, against which tracks compete for what was seen."""
     confirm: tuple[Count, Count] = (3, 5)
     """A track counts once it was measured in so many of its first so many frames."""
     occlusion_s: Positive = 2.0

@@ -21,6 +21,7 @@ _MIN_AREA_M2 = 0.002
 _LIMB_M = 0.15  # thicker than an arm, thinner than a trunk
 CORRIDOR_M = 0.09  # on either side of a promised axis
 LIMB_WIDTH_M = (0.035, 0.13)  # of a forearm, clothes included
+TAPER = 0.2  # by which a width may miss that of an evenly widening forearm
 _OPENING_PX = 9  # the trunk is found at the scale at which a limb is this wide
 
 
@@ -83,7 +84,7 @@ class Strip:
 
     middle: Float[np.ndarray, "S 2"]  # px, of the whole image
     width: Float[np.ndarray, " S"]  # px between the edges, 0 where the corridor does not hold both
-    skin: Bool[np.ndarray, " S"]  # edges of skin; else of the outline
+    skin: bool  # edges of skin; else of the outline
 
 
 def cut_strip(
@@ -94,8 +95,8 @@ def cut_strip(
 ) -> Strip:
     """The edges of a limb across a promised axis, to a fraction of a pixel.
 
-    Skin comes first; where its run reaches the border of the corridor (a face or a shirt of that colour behind), or is
-    no limb's width, the outline is tried.
+    Skin and outline are both tried; the one with more slices of a forearm's width counts, the skin where they are
+    equal. Where a run reaches the border of the corridor (a shirt of that colour behind), there is no edge.
 
     Args:
         crop: the person's pixels.
@@ -107,19 +108,37 @@ def cut_strip(
     offsets = np.linspace(-half, half, 2 * int(np.ceil(half)) + 1)
     places = axis[:, None] + offsets[None, :, None] * across - np.array(crop.corner)
     x, y = places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
-    limits = np.array(LIMB_WIDTH_M) * pixels_a_metre
-    middle, width = np.zeros(len(axis)), np.zeros(len(axis))
-    skin = np.zeros(len(axis), bool)
+    best: tuple[np.ndarray, np.ndarray] | None = None
+    skin = True
     for value in (Pixel.SKIN, Pixel.PERSON):
         mask = (crop.labels >= value).astype(np.uint8) * 255
         strip = cv2.remap(mask, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         low, high = _edges(strip.astype(np.float32) / 255, offsets)
-        fits = (width == 0) & (high - low >= limits[0]) & (high - low <= limits[1])
-        fits &= (low > -half + 1) & (high < half - 1)
-        middle = np.where(fits, (low + high) / 2, middle)
-        width = np.where(fits, high - low, width)
-        skin |= fits & (value == Pixel.SKIN)
+        whole = (low > -half + 1) & (high < half - 1)
+        width = np.where(whole & _tapers(high - low, whole, pixels_a_metre), high - low, 0.0)
+        if best is None or (width > 0).sum() > (best[1] > 0).sum():
+            best, skin = ((low + high) / 2, width), value == Pixel.SKIN
+    middle, width = best
     return Strip(axis + middle[:, None] * across, width, skin)
+
+
+def _tapers(
+    width: Float[np.ndarray, " S"], whole: Bool[np.ndarray, " S"], pixels_a_metre: float
+) -> Bool[np.ndarray, " S"]:
+    """Slices as wide as a forearm that widens evenly to the elbow: a hole, a hand or a shirt behind is none."""
+    low, high = (limit * pixels_a_metre for limit in LIMB_WIDTH_M)
+    usable = whole & (width >= low) & (width <= high)
+    if usable.sum() < 3:
+        return usable
+    place = np.linspace(-1, 1, len(width))
+    weight = usable.astype(float)
+    expected = width
+    for _ in range(5):
+        rows = np.stack([np.ones_like(place), place], axis=1)
+        normal = rows.T @ (weight[:, None] * rows) + np.diag([1e-9, 0.5])
+        expected = rows @ np.linalg.solve(normal, rows.T @ (weight * width))
+        weight = usable / (1 + ((width - expected) / (0.07 * np.maximum(expected, low))) ** 2)
+    return usable & (np.abs(width - expected) <= TAPER * np.maximum(expected, low))
 
 
 def _edges(

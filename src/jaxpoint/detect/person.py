@@ -14,13 +14,14 @@ from jaxpoint.detect.arm import Crop, Pixel
 from jaxpoint.detect.colour import Image, is_grey
 from jaxpoint.detect.head import Head, find_head
 from jaxpoint.detect.motion import motion_between
-from jaxpoint.detect.silhouette import AdaptiveBackground, RoomBackground, Silhouette, foreground, silhouettes
+from jaxpoint.detect.silhouette import AdaptiveBackground, RoomBackground, Silhouette, closed, foreground, silhouettes
 from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model
 
 DARK = 16.0  # grey levels: brighter than this are fewer than 1 % of the pixels of an image without light
 BLOWN = 0.5  # part of the pixels that are saturated in an image with too much
 SATURATED = 250
 MARGIN = 0.35  # of a silhouette's height, around it: an arm may be cut off from the trunk
+GAP = 0.2  # of a head's height, the widest gap in a limb that is closed
 SEAM_PX = 3  # skin this far outside the foreground still belongs to it: a fingertip is thin
 
 
@@ -126,10 +127,13 @@ class PersonWatch:
 
     def _sighting(self, image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, grey: bool) -> Sighting:
         head = find_head(silhouette, self._focal, self._settings.head)
-        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, None if grey else self._model))
+        gap = int(GAP * head.height_px) if head.found else 0
+        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, None if grey else self._model, gap))
 
 
-def cut_crop(image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, model: SkinModel | None) -> Crop:
+def cut_crop(
+    image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, model: SkinModel | None, gap_px: int = 0
+) -> Crop:
     """The surroundings of a silhouette: which pixels are foreground, and which of them skin.
 
     Args:
@@ -137,6 +141,7 @@ def cut_crop(image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouett
         mask: its foreground.
         silhouette: of the person.
         model: of skin; None where the image has no colour.
+        gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
     """
     x, y, width, height = silhouette.box
     reach = int(MARGIN * height)
@@ -144,6 +149,8 @@ def cut_crop(image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouett
     right, bottom = min(x + width + reach, image.shape[1]), min(y + height + 2 * SEAM_PX, image.shape[0])
     own = mask[top:bottom, left:right].copy()
     own[y - top : y - top + height, x - left : x - left + width] |= silhouette.mask.view(np.uint8) * np.uint8(255)
+    if gap_px > 1:
+        own = closed(own, gap_px | 1)
     labels = (own > 0).astype(np.uint8) * np.uint8(Pixel.PERSON)
     if model is not None:
         near = cv2.dilate(own, np.ones((2 * SEAM_PX + 1, 2 * SEAM_PX + 1), np.uint8))

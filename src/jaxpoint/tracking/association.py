@@ -1,8 +1,9 @@
-"""Which candidates of one frame, one a camera at most, are the same head; nothing but geometry decides.
+"""Which candidates of one frame, one a camera at most, are the same head, and which track's; nothing but geometry.
 
-Every pair of rays and every track's prediction is a hypothesis. It gathers the rays of all views that pass near it, is
-fitted to them, and gathers anew; the best one takes its candidates, and the others do without them. Where two people are
-in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is believed only
+Every pair of rays and every track's prediction is a hypothesis. It gathers the nearest ray of every view within the
+gate, is fitted to these (and to the prediction, where it belongs to a track), and gathers anew. Its score is what it
+explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two people
+are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is believed only
 where it continues a track, or where neither view has another explanation.
 """
 
@@ -19,6 +20,7 @@ from jaxpoint.tracking.rays import MIN_DEPTH, Rays
 
 MAX_SIGMA = 0.25  # m; a place known no better, from rays nearly parallel, is none
 _START_RANGE = 3.0  # m, before the distances are known
+_ROUNDS = 2  # of fitting and gathering
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,10 @@ class Hypotheses:
     """H places of heads and the rays that support each, one a camera at most."""
 
     points: Float[np.ndarray, "H 3"]  # m
-    covariances: Float[np.ndarray, "H 3 3"]  # m^2, from the rays
+    covariances: Float[np.ndarray, "H 3 3"]  # m^2
     members: Bool[np.ndarray, "H M"]
-    score: Float[np.ndarray, " H"]  # how far inside its gate each ray lies, summed; a track adds its own
-    continues: Bool[np.ndarray, " H"]  # whether a track was expected there
+    tracks: Int[np.ndarray, " H"]  # which each continues; -1 where it is a new head
+    score: Float[np.ndarray, " H"]  # twice the log likelihood over that of chance
 
     @property
     def views(self) -> Int[np.ndarray, " H"]:
@@ -57,10 +59,8 @@ class Hypotheses:
 class Association:
     """The heads of one frame."""
 
-    points: Float[np.ndarray, "S 3"]  # m
-    covariances: Float[np.ndarray, "S 3 3"]  # m^2
+    tracks: Int[np.ndarray, " S"]  # whose; -1 where it is a new head
     candidates: Int[np.ndarray, "S C"]  # index of the candidate of each camera, -1 where none
-    ambiguous: Float[np.ndarray, "A 3"]  # m, places that two views support and that were not believed
 
 
 def associate(
@@ -70,7 +70,7 @@ def associate(
     settings: TrackSettings,
     bounds: Float[np.ndarray, "2 3"],
 ) -> Association:
-    """The heads of one frame, best supported first, each candidate used once.
+    """The heads of one frame, the best explained first; each candidate and each track is used once.
 
     Args:
         rays: the candidates.
@@ -79,79 +79,119 @@ def associate(
         settings: gates.
         bounds: lowest and highest coordinates of a head, m.
     """
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    ambiguous: list[np.ndarray] = []
-    hypotheses = None
-    while len(rays) >= 2:
-        if hypotheses is None or hypotheses.members.shape[1] != len(rays):
-            hypotheses = _all_hypotheses(rays, predictions, settings, bounds)
-            hypotheses = _apart(hypotheses, [point for point, _, _ in found], settings)
-        best, unclear = _best(hypotheses)
+    tracks, taken, places = [], [], []
+    free = np.ones(len(predictions), bool)
+    while len(rays):
+        hypotheses = _hypotheses(rays, predictions, free, settings, bounds)
+        best = _best(_apart(hypotheses, places, settings))
         if best is None:
-            ambiguous += list(hypotheses.points[unclear])
             break
-        members = hypotheses.members[best]
+        members = best.members[0]
         candidates = np.full(cameras, -1)
         candidates[rays.camera[members]] = rays.candidate[members]
-        found.append((hypotheses.points[best], hypotheses.covariances[best], candidates))
+        taken.append(candidates)
+        places.append(best.points[0])
+        tracks.append(int(best.tracks[0]))
+        free[best.tracks[best.tracks >= 0]] = False
         rays = rays.without(members)
-    return Association(
-        np.array([point for point, _, _ in found]).reshape(-1, 3),
-        np.array([square for _, square, _ in found]).reshape(-1, 3, 3),
-        np.array([candidates for _, _, candidates in found], dtype=int).reshape(-1, cameras),
-        np.array(ambiguous).reshape(-1, 3),
-    )
+    return Association(np.array(tracks, int), np.array(taken, int).reshape(-1, cameras))
 
 
-def near_prediction(
-    rays: Rays, predictions: Predictions, settings: TrackSettings
-) -> Bool[np.ndarray, "T M"]:
+def near_prediction(rays: Rays, predictions: Predictions, settings: TrackSettings) -> Bool[np.ndarray, "T M"]:
     """Which rays pass within the gate of where tracks are expected."""
     return _deviation(rays, predictions.points, predictions.covariances) <= chi2.ppf(settings.gate, 2)
 
 
-def _best(hypotheses: Hypotheses) -> tuple[int | None, Bool[np.ndarray, " H"]]:
-    """The hypothesis to believe next, and those of two views that have rivals for a candidate of theirs."""
+def _best(hypotheses: Hypotheses) -> Hypotheses | None:
+    """The hypothesis to believe next, alone; none where all that is left are new heads of two views with rivals."""
     members = hypotheses.members.astype(int)
-    rivals = ((members @ members.T) > 0).sum(axis=1) - 1
-    unclear = (hypotheses.views == 2) & ~hypotheses.continues & (rivals > 0)
-    clear = np.flatnonzero(~unclear)
-    best = int(clear[np.argmax(hypotheses.score[clear])]) if len(clear) else None
-    return best, unclear
+    new = hypotheses.tracks < 0
+    rivals = (((members @ members.T) > 0) & new).sum(axis=1) - 1
+    clear = np.flatnonzero(~new | (hypotheses.views > 2) | (rivals == 0))
+    return hypotheses.select(clear[[np.argmax(hypotheses.score[clear])]]) if len(clear) else None
 
 
-def _apart(hypotheses: Hypotheses, points: list[np.ndarray], settings: TrackSettings) -> Hypotheses:
+def _apart(hypotheses: Hypotheses, places: list[np.ndarray], settings: TrackSettings) -> Hypotheses:
     """Without those that are too near to a head already found."""
-    if not points:
+    if not places:
         return hypotheses
-    gaps = np.linalg.norm(hypotheses.points[:, None] - np.array(points), axis=-1)
+    gaps = np.linalg.norm(hypotheses.points[:, None] - np.array(places), axis=-1)
     return hypotheses.select((gaps >= settings.separation_m).all(axis=1))
 
 
-def _all_hypotheses(
-    rays: Rays, predictions: Predictions, settings: TrackSettings, bounds: Float[np.ndarray, "2 3"]
+def _hypotheses(
+    rays: Rays,
+    predictions: Predictions,
+    free: Bool[np.ndarray, " T"],
+    settings: TrackSettings,
+    bounds: Float[np.ndarray, "2 3"],
 ) -> Hypotheses:
-    """Every place that rays of two views or more support, once."""
-    gate = chi2.ppf(settings.gate, 2)
+    """Every place that rays support, as a new head and as the next one of each track that it may be."""
+    gate = float(chi2.ppf(settings.gate, 2))
+    new = _new_heads(rays, settings, gate, bounds)
+    tracks, members = _of_tracks(rays, predictions, np.flatnonzero(free), gate, new)
+    prior = Predictions(predictions.points[tracks], predictions.covariances[tracks])
+    points, covariances = _fit(rays, members, prior)
+    known = np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(prior.covariances)[1]
+    gap = points - prior.points
+    misfit = np.einsum("hi,hi->h", gap, np.linalg.solve(prior.covariances, gap[..., None])[..., 0])
+    score = _explained(rays, points, members, settings) - misfit + known
+    continued = Hypotheses(points, covariances, members, tracks, score).select(score > 0)
+    both = (np.concatenate([getattr(part, name) for part in (new, continued)]) for name in new.__dataclass_fields__)
+    return _usable(Hypotheses(*both), rays, gate, bounds)
+
+
+def _new_heads(rays: Rays, settings: TrackSettings, gate: float, bounds: Float[np.ndarray, "2 3"]) -> Hypotheses:
+    """Places that rays of two views or more support, whoever it is."""
     points, covariances = _pairs(rays, gate, bounds)
-    points = np.concatenate([points, predictions.points])
-    covariances = np.concatenate([covariances, predictions.covariances])
     members = _nearest(rays, _deviation(rays, points, covariances), gate)
-    for _ in range(2):
-        members = np.unique(members[members.sum(axis=1) >= 2], axis=0)
-        points, covariances = _fit(rays, members)
+    for _ in range(_ROUNDS):
+        points, _ = _fit(rays, _several(members))
         members = _nearest(rays, _deviation(rays, points), gate)
-    members = np.unique(members[members.sum(axis=1) >= 2], axis=0)
+    members = _several(members)
     points, covariances = _fit(rays, members)
-    deviation = np.where(members, _deviation(rays, points), 0.0)
-    score = np.where(members, gate - deviation, 0.0).sum(axis=1)
-    support = _support(points, covariances, predictions, settings)
-    usable = (
+    known = np.linalg.slogdet(covariances)[1] + 3 * np.log(2 * np.pi) + 2 * np.log(settings.new_heads_m3)
+    score = _explained(rays, points, members, settings) + known
+    return _usable(Hypotheses(points, covariances, members, np.full(len(points), -1), score), rays, gate, bounds)
+
+
+def _of_tracks(
+    rays: Rays, predictions: Predictions, free: Int[np.ndarray, " t"], gate: float, new: Hypotheses
+) -> tuple[Int[np.ndarray, " H"], Bool[np.ndarray, "H M"]]:
+    """For every free track the rays near its prediction, and those of every new head that may be its own."""
+    prior = Predictions(predictions.points[free], predictions.covariances[free])
+    members = _nearest(rays, _deviation(rays, prior.points, prior.covariances), gate)
+    for _ in range(_ROUNDS):
+        members = _nearest(rays, _deviation(rays, _fit(rays, members, prior)[0]), gate)
+    gaps = new.points[:, None] - prior.points
+    total = new.covariances[:, None] + prior.covariances
+    near = np.einsum("hti,hti->ht", gaps, np.linalg.solve(total, gaps[..., None])[..., 0]) <= gate
+    head, track = np.nonzero(near)
+    tracks = np.concatenate([free, free[track]])
+    members = np.concatenate([members, new.members[head]])
+    seen = members.any(axis=1)
+    both = np.unique(np.column_stack([tracks[seen], members[seen]]), axis=0)
+    return both[:, 0].astype(int), both[:, 1:].astype(bool)
+
+
+def _usable(hypotheses: Hypotheses, rays: Rays, gate: float, bounds: Float[np.ndarray, "2 3"]) -> Hypotheses:
+    """Those inside the bounds, known well enough, with every ray within the gate."""
+    points = hypotheses.points
+    deviation = np.where(hypotheses.members, _deviation(rays, points), 0.0)
+    return hypotheses.select(
         (deviation <= gate).all(axis=1)
         & ((points >= bounds[0]) & (points <= bounds[1])).all(axis=1)
-        & (np.linalg.eigvalsh(covariances)[:, -1] <= MAX_SIGMA**2)
+        & (np.linalg.eigvalsh(hypotheses.covariances)[:, -1] <= MAX_SIGMA**2)
     )
-    return Hypotheses(points, covariances, members, score + support, support > 0).select(usable)
+
+
+def _explained(
+    rays: Rays, points: Float[np.ndarray, "H 3"], members: Bool[np.ndarray, "H M"], settings: TrackSettings
+) -> Float[np.ndarray, " H"]:
+    """Twice the log likelihood of the rays over that of as many seen by chance."""
+    across, _, sigma = rays.across(points)
+    by_chance = np.log(2 * np.pi * settings.false_heads_m2 * sigma**2)
+    return np.where(members, -2 * by_chance - (across**2).sum(axis=-1) / sigma**2, 0.0).sum(axis=1)
 
 
 def _pairs(
@@ -169,29 +209,6 @@ def _pairs(
     reach = 3 * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     inside = ((points >= bounds[0] - reach) & (points <= bounds[1] + reach)).all(axis=1)
     return points[near & inside], covariances[near & inside]
-
-
-def _support(
-    points: Float[np.ndarray, "H 3"],
-    covariances: Float[np.ndarray, "H 3 3"],
-    predictions: Predictions,
-    settings: TrackSettings,
-) -> Float[np.ndarray, " H"]:
-    """How far inside the gate of the nearest track each place lies; 0 where it is outside of all."""
-    if not len(predictions):
-        return np.zeros(len(points))
-    distance2 = mahalanobis(points, covariances, predictions)[0].min(axis=1)
-    return np.maximum(chi2.ppf(settings.gate, 3) - distance2, 0.0)
-
-
-def mahalanobis(
-    points: Float[np.ndarray, "S 3"], covariances: Float[np.ndarray, "S 3 3"], predictions: Predictions
-) -> tuple[Float[np.ndarray, "S T"], Float[np.ndarray, "S T"]]:
-    """Squared distance of every point from every track in standard deviations, and the log determinant of these."""
-    total = covariances[:, None] + predictions.covariances
-    offset = points[:, None] - predictions.points
-    distance2 = np.einsum("sti,sti->st", offset, np.linalg.solve(total, offset[..., None])[..., 0])
-    return distance2, np.linalg.slogdet(total)[1]
 
 
 def _deviation(
@@ -223,16 +240,27 @@ def _nearest(rays: Rays, deviation: Float[np.ndarray, "H M"], gate: float) -> Bo
     return members
 
 
+def _several(members: Bool[np.ndarray, "H M"]) -> Bool[np.ndarray, "G M"]:
+    """The sets of two rays or more, each once."""
+    return np.unique(members[members.sum(axis=1) >= 2], axis=0)
+
+
 def _fit(
-    rays: Rays, members: Bool[np.ndarray, "H M"]
+    rays: Rays, members: Bool[np.ndarray, "H M"], prior: Predictions | None = None
 ) -> tuple[Float[np.ndarray, "H 3"], Float[np.ndarray, "H 3 3"]]:
-    """The places nearest to their rays, each distance in its own sigma, and their covariances."""
+    """The places nearest to their rays, each distance in its own sigma, and to their priors; and the covariances."""
     planes = np.eye(3) - rays.direction[:, :, None] * rays.direction[:, None]
     offsets = np.einsum("mij,mj->mi", planes, rays.origin)
-    weights = members / (_START_RANGE * rays.sigma) ** 2
+    if prior is None:
+        known, expected = np.zeros((3, 3)), np.zeros(3)
+        weights = members / (_START_RANGE * rays.sigma) ** 2
+    else:
+        known = np.linalg.inv(prior.covariances)
+        expected = np.einsum("hij,hj->hi", known, prior.points)
+        weights = members / rays.across(prior.points)[2] ** 2
     points = covariances = np.zeros((0, 3))
     for _ in range(2):
-        covariances = np.linalg.inv((weights @ planes.reshape(-1, 9)).reshape(-1, 3, 3))
-        points = np.einsum("hij,hj->hi", covariances, weights @ offsets)
+        covariances = np.linalg.inv((weights @ planes.reshape(-1, 9)).reshape(-1, 3, 3) + known)
+        points = np.einsum("hij,hj->hi", covariances, weights @ offsets + expected)
         weights = members / rays.across(points)[2] ** 2
     return points, covariances

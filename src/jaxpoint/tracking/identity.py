@@ -1,11 +1,9 @@
-"""Who is who: measured heads go to tracks, tracks are born, confirmed and end.
+"""Who is who: tracks are born, get an id, wait while nobody sees them, and end.
 
-A head goes to the track that explains it best, all at once (the assignment of least total cost; the cost is minus twice
-the log likelihood, so that a track that has been lost for long does not take a head from one that is known well).
-Confirmed tracks choose first. A head that no track takes begins one, which counts once it was measured in 3 of its
-first 5 frames; one that is not measured for 2 s ends. Whoever comes out from behind something within that time keeps the
-id if the place can be reached by the chi-square gate, and is a new person otherwise; so is whoever comes back later:
-geometry alone cannot tell who it is.
+A head that continues no track begins one. It gets an id once it was measured in 3 of its first 5 frames: that of a track
+lost before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one.
+A lost track waits for 2 s. So whoever comes out from behind something within that time, about where he was going, keeps
+his id; whoever comes back later is a new person: geometry alone cannot tell who it is.
 """
 
 from __future__ import annotations
@@ -13,14 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
-from scipy.optimize import linear_sum_assignment
+from jaxtyping import Float
 from scipy.stats import chi2
 
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.tracking.association import Association, Predictions, mahalanobis
 
-_FORBIDDEN = 1e6
 
 
 @dataclass(frozen=True)
@@ -31,20 +26,23 @@ class Track:
     person: int  # id; 0 until the track is confirmed
     frames: int  # since it was born
     hits: int  # of these, how many measured it
-    measured_at: float  # s
+    born_at: float  # s
+    measured_at: float  # s, the last time
     mean: Float[np.ndarray, "6"]  # position (m), velocity (m/s)
     covariance: Float[np.ndarray, "6 6"]
 
     @staticmethod
-    def new(key: int) -> Track:
-        """A track about to begin."""
-        return Track(key, 0, 0, 0, -np.inf, np.zeros(6), np.eye(6))
+    def new(key: int, time: float) -> Track:
+        """A track about to begin at this time (s)."""
+        return Track(key, 0, 0, 0, time, time, np.zeros(6), np.eye(6))
 
     def after(self, time: float | None, mean: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> Track:
         """The track after one more frame, `time` (s) if that measured it."""
         hit = time is not None
         at = time if hit else self.measured_at
-        return Track(self.key, self.person, self.frames + 1, self.hits + int(hit), at, mean, covariance)
+        return replace(
+            self, frames=self.frames + 1, hits=self.hits + hit, measured_at=at, mean=mean, covariance=covariance
+        )
 
     def outlived(self, time: float, settings: TrackSettings) -> bool:
         """Whether it ends before a frame at this time (s)."""
@@ -53,30 +51,27 @@ class Track:
         return time - self.measured_at > settings.occlusion_s or (self.person == 0 and misses > tried - wanted)
 
 
-def match(
-    found: Association, predictions: Predictions, first: Bool[np.ndarray, " T"], settings: TrackSettings
-) -> Int[np.ndarray, " T"]:
-    """Which of the S heads found is each track's, -1 where none; those marked `first` choose before the others."""
-    chosen = np.full(len(predictions), -1)
-    if not len(predictions) or not len(found.points):
-        return chosen
-    distance2, spread = mahalanobis(found.points, found.covariances, predictions)
-    cost = np.where(distance2 <= chi2.ppf(settings.gate, 3), distance2 + spread, _FORBIDDEN)
-    for group in (first, ~first):
-        free = np.setdiff1d(np.arange(len(found.points)), chosen)
-        own = np.flatnonzero(group)
-        heads, tracks = linear_sum_assignment(cost[np.ix_(free, own)])
-        allowed = cost[free[heads], own[tracks]] < _FORBIDDEN
-        chosen[own[tracks[allowed]]] = free[heads[allowed]]
-    return chosen
+def named(tracks: list[Track], people: int, settings: TrackSettings) -> tuple[list[Track], int]:
+    """The tracks, an id given to those that have earned one, and how many ids have been given in all.
+
+    A track that is confirmed takes the id of one that was lost before it began, and ends that, where both can be the
+    same way of one person.
+    """
+    for track in [track for track in tracks if track.person == 0 and track.hits >= settings.confirm[0]]:
+        lost = [other for other in tracks if other.person > 0 and other.measured_at < track.born_at]
+        before = min(lost, key=lambda other: _unlike(track, other)[0], default=None)
+        if before is not None and _unlike(track, before)[1] <= chi2.ppf(settings.gate, 6):
+            person = before.person
+            tracks = [other for other in tracks if other is not before]
+        else:
+            person = people = people + 1
+        tracks = [replace(other, person=person) if other is track else other for other in tracks]
+    return tracks, people
 
 
-def confirmed(tracks: list[Track], people: int, settings: TrackSettings) -> tuple[list[Track], int]:
-    """The tracks, new ids given to those that have earned one, and how many ids have been given in all."""
-    named = []
-    for track in tracks:
-        if track.person == 0 and track.hits >= settings.confirm[0]:
-            people += 1
-            track = replace(track, person=people)
-        named.append(track)
-    return named, people
+def _unlike(one: Track, other: Track) -> tuple[float, float]:
+    """Minus twice the log likelihood that both are one, but for a constant, and the squared Mahalanobis distance."""
+    total = one.covariance + other.covariance
+    gap = one.mean - other.mean
+    distance2 = float(gap @ np.linalg.solve(total, gap))
+    return distance2 + float(np.linalg.slogdet(total)[1]), distance2

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
 
@@ -23,26 +23,18 @@ class State(eqx.Module):
     covariance: Float[Array, "*batch 6 6"]
 
 
-class Innovation(NamedTuple):
-    """A measurement against its prediction."""
-
-    difference: Float[Array, "*batch 3"]  # m, measured minus predicted
-    covariance: Float[Array, "*batch 3 3"]  # m^2, what it should have
-    distance2: Float[Array, "*batch"]  # squared Mahalanobis length: chi-square of 3 degrees of freedom
-
-
 class Filtered(NamedTuple):
     """What the filter knew at each of F frames."""
 
     states: State  # from all measurements up to the frame
     predicted: State  # from those before it
-    innovations: Innovation  # only meaningful where there is a measurement
+    distance2: Float[Array, " F"]  # of each measurement from its prediction, see `distance2`
 
 
-def begin(point: Float[Array, "3"], covariance: Float[Array, "3 3"], speed: Float[Array, ""]) -> State:
-    """The state after a first measurement; `speed` (m/s) is the standard deviation of each velocity component."""
-    nothing = jnp.zeros((3, 3), covariance.dtype)
-    square = jnp.block([[covariance, nothing], [nothing, speed**2 * jnp.eye(3, dtype=covariance.dtype)]])
+def begin(point: Float[Array, "3"], information: Float[Array, "3 3"], speed: Float[Array, ""]) -> State:
+    """The state after a first measurement, of two views at least; `speed` (m/s) is the sd of a velocity component."""
+    nothing, eye = jnp.zeros_like(information), jnp.eye(3, dtype=information.dtype)
+    square = jnp.block([[jnp.linalg.inv(information), nothing], [nothing, speed**2 * eye]])
     return State(jnp.concatenate([point, jnp.zeros_like(point)]), square)
 
 
@@ -52,56 +44,64 @@ def predict(state: State, seconds: Float[Array, ""], acceleration: Float[Array, 
     return State(move @ state.mean, move @ state.covariance @ move.T + _process(seconds, acceleration))
 
 
-def compare(state: State, point: Float[Array, "3"], covariance: Float[Array, "3 3"]) -> Innovation:
-    """A measured point and its covariance (m^2) against a state."""
+def distance2(state: State, point: Float[Array, "3"], information: Float[Array, "3 3"]) -> Float[Array, ""]:
+    """Squared distance of a measurement from a state in standard deviations: chi-square of the information's rank."""
     difference = point - state.mean[:3]
-    total = state.covariance[:3, :3] + covariance
-    return Innovation(difference, total, difference @ jnp.linalg.solve(total, difference))
+    return difference @ _weight(state, information) @ difference
 
 
-def update(state: State, point: Float[Array, "3"], covariance: Float[Array, "3 3"]) -> State:
-    """The state once a point was measured, by Joseph's form: the covariance stays symmetric and positive."""
-    innovation = compare(state, point, covariance)
-    gain = jnp.linalg.solve(innovation.covariance, state.covariance[:3]).T
+def update(state: State, point: Float[Array, "3"], information: Float[Array, "3 3"]) -> State:
+    """The state once a point was measured.
+
+    A measurement is a point (m) and its information, the inverse of its covariance (1/m^2). One view knows nothing along
+    its line of sight: its information has rank 2, and the point is any on that line. No information changes nothing.
+    Joseph's form keeps the covariance symmetric and positive.
+    """
+    weight = _weight(state, information)
+    gain = state.covariance[:, :3] @ weight
     rest = jnp.eye(6, dtype=gain.dtype) - jnp.pad(gain, ((0, 0), (0, 3)))
-    square = rest @ state.covariance @ rest.T + gain @ covariance @ gain.T
-    return State(state.mean + gain @ innovation.difference, square)
+    noise = state.covariance[:, :3] @ _share(state, information, weight) @ state.covariance[:3]
+    square = rest @ state.covariance @ rest.T + noise
+    return State(state.mean + gain @ (point - state.mean[:3]), 0.5 * (square + square.T))
+
+
+def _weight(state: State, information: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """Inverse of the covariance of a measurement minus its prediction, also where the information is singular."""
+    return _share(state, information, information)
+
+
+def _share(state: State, information: Float[Array, "3 3"], right: Float[Array, "3 3"]) -> Float[Array, "3 3"]:
+    """(1 + information times the state's covariance)^-1 times `right`."""
+    return jnp.linalg.solve(jnp.eye(3, dtype=right.dtype) + information @ state.covariance[:3, :3], right)
 
 
 @jit
 def filter_track(
     times: Float[Array, " F"],
     points: Float[Array, "F 3"],
-    covariances: Float[Array, "F 3 3"],
-    valid: Bool[Array, " F"],
+    informations: Float[Array, "F 3 3"],
     acceleration: Float[Array, ""],
     speed: Float[Array, ""],
 ) -> Filtered:
-    """One track through F frames; it begins with the first frame, which must be measured.
+    """One track through F frames; it begins with the first, which two views at least must have measured.
 
     Args:
         times: s, not decreasing. Frames at the end that only fill up repeat the last.
-        points: m; what stands where `valid` is False never matters.
-        covariances: of the points, m^2.
-        valid: where the point was measured.
+        points: m; finite, and without effect where there is no information.
+        informations: of the points, 1/m^2; 0 where there is no measurement.
         acceleration: m/s^2, as in `predict`.
         speed: m/s, as in `begin`.
     """
-    eye = jnp.eye(3, dtype=points.dtype)
-    points = jnp.where(valid[:, None], points, 0.0)
-    covariances = jnp.where(valid[:, None, None], covariances, eye[None])
-    first = begin(points[0], covariances[0], speed)
+    first = begin(points[0], informations[0], speed)
 
     def step(state: State, frame: tuple) -> tuple[State, Filtered]:
-        seconds, point, covariance, measured = frame
+        seconds, point, information = frame
         predicted = predict(state, seconds, acceleration)
-        updated = update(predicted, point, covariance)
-        state = jax.tree.map(lambda new, old: jnp.where(measured, new, old), updated, predicted)
-        return state, Filtered(state, predicted, compare(predicted, point, covariance))
+        state = update(predicted, point, information)
+        return state, Filtered(state, predicted, distance2(predicted, point, information))
 
-    frames = jnp.diff(times), points[1:], covariances[1:], valid[1:]
-    _, later = jax.lax.scan(step, first, frames)
-    start = Filtered(first, first, Innovation(jnp.zeros_like(points[0]), covariances[0], jnp.zeros_like(speed)))
+    _, later = jax.lax.scan(step, first, (jnp.diff(times), points[1:], informations[1:]))
+    start = Filtered(first, first, jnp.zeros_like(speed))
     return jax.tree.map(lambda one, others: jnp.concatenate([one[None], others]), start, later)
 
 

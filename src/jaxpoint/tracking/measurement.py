@@ -11,86 +11,91 @@ from jaxtyping import Array, Bool, Float
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
-from jaxpoint.tracking.kalman import State, begin, compare, predict, update
+from jaxpoint.tracking.kalman import State, begin, distance2, predict, update
 from jaxpoint.triangulation import Flag, triangulate
 
-_STEPS = 2  # Gauss-Newton steps that bring in the weights; the start has been refined without
+_STEPS = 3  # of Gauss-Newton; the start is near
 
 
-class Located(NamedTuple):
-    """Heads of N people from their pixels in one frame."""
+class Measured(NamedTuple):
+    """Heads of N people in one frame, and their tracks after it."""
 
-    points: Float[Array, "N 3"]  # m; 0 with fewer than two views
-    covariances: Float[Array, "N 3 3"]  # m^2; the unit matrix there
-    usable: Bool[Array, " N"]  # two views or more that the lens models know, and in front of their cameras
+    points: Float[Array, "N 3"]  # m
+    informations: Float[Array, "N 3 3"]  # 1/m^2; 0 where no view was used
+    distances2: Float[Array, " N"]  # from the predictions, as `kalman.distance2`; 0 for new tracks
+    accepted: Bool[Array, " N"]  # in front of the cameras, known to the lens models, within the gate
+    states: State  # with what was accepted
 
 
 @jit
-def locate(
-    rig: CameraRig, pixels: Float[Array, "N C 2"], used: Bool[Array, "N C"], sigma_px: Float[Array, "N C"]
-) -> Located:
-    """Triangulated heads, each view with the weight of its own standard deviation (px).
+def measure(
+    rig: CameraRig,
+    predicted: State,
+    is_new: Bool[Array, " N"],
+    pixels: Float[Array, "N C 2"],
+    used: Bool[Array, "N C"],
+    sigma_px: Float[Array, "N C"],
+    speed: Float[Array, ""],
+    gates: Float[Array, "2"],
+) -> Measured:
+    """Heads triangulated from their views, each view with the weight of its own standard deviation (px).
 
-    The calibration's covariance is no part of this: its error stays the same from frame to frame, and a filter would
-    take it for noise that averages out.
+    A new track is its measurement; of others the prediction is the start of the search, and all that is known along
+    the line of sight of a single view. The calibration's covariance is no part of this: its error stays the same from
+    frame to frame, and a filter would take it for noise that averages out.
+
+    Args:
+        rig: the cameras.
+        predicted: the tracks where they are expected; without meaning for new ones.
+        is_new: whether the track begins here, which needs two views.
+        pixels: px, distorted.
+        used: which views.
+        sigma_px: of each view's pixel coordinates.
+        speed: m/s, as in `kalman.begin`.
+        gates: largest squared distance from the prediction of one view, and of more.
     """
     start = triangulate(rig, pixels, used, covariance=False)
-    usable = (start.flags & (Flag.BEHIND | Flag.FEW_VIEWS | Flag.LENS_RANGE)) == 0
-    weight = jnp.where(used, 1 / jnp.where(used, sigma_px, 1.0) ** 2, 0.0)
+    several = used.sum(axis=1) >= 2
+    weights = jnp.where(used, 1 / jnp.where(used, sigma_px, 1.0) ** 2, 0.0)
+    wrong = jnp.where(is_new, Flag.BEHIND | Flag.FEW_VIEWS | Flag.LENS_RANGE, Flag.BEHIND | Flag.LENS_RANGE)
+    possible = used.any(axis=1) & ((start.flags & wrong) == 0)
 
-    def normal(point: Array, pixel: Array, weights: Array) -> tuple[Array, Array]:
-        def one(camera: Camera) -> tuple[Array, Array]:
-            return camera.project(point), jax.jacfwd(camera.project)(point)
-
-        shown, slope = jax.vmap(one)(rig.cameras)  # (C, 2), (C, 2, 3)
-        weighted = weights[:, None, None] * slope
-        return jnp.einsum("cki,ckj->ij", weighted, slope), jnp.einsum("cki,ck->i", weighted, shown - pixel)
-
-    def refine(point: Array, pixel: Array, weights: Array, enough: Array) -> tuple[Array, Array]:
-        eye = jnp.eye(3, dtype=point.dtype)
+    def one(state: State, new: Array, triangulated: Array, many: Array, pixel: Array, weight: Array, good: Array):
+        eye = jnp.eye(3, dtype=pixel.dtype)
+        prior = jnp.where(new, 0.0, jnp.linalg.inv(state.covariance[:3, :3]))
 
         def step(_: int, point: Array) -> Array:
-            square, slope = normal(point, pixel, weights)
-            return point - jnp.linalg.solve(jnp.where(enough, square, eye), jnp.where(enough, slope, 0.0))
+            information, slope = _normal(rig, point, pixel, weight)
+            square = jnp.where(good, information + prior, eye)
+            return point - jnp.linalg.solve(square, jnp.where(good, slope + prior @ (point - state.mean[:3]), 0.0))
 
-        point = jax.lax.fori_loop(0, _STEPS, step, point)
-        square = jnp.where(enough, normal(point, pixel, weights)[0], eye)
-        return point, jnp.linalg.inv(square)
+        point = jax.lax.fori_loop(0, _STEPS, step, jnp.where(many, triangulated, state.mean[:3]))
+        information, slope = _normal(rig, point, pixel, weight)
+        point = point - jnp.linalg.pinv(information, hermitian=True, rtol=1e-9) @ slope
+        far = jnp.where(new, 0.0, distance2(state, point, information))
+        accepted = good & (far <= jnp.where(many, gates[1], gates[0]))
+        information = jnp.where(accepted, information, 0.0)
+        first = begin(point, jnp.where(new & accepted, information, eye), speed)
+        after = jax.tree.map(lambda a, b: jnp.where(new, a, b), first, update(state, point, information))
+        return Measured(point, information, far, accepted, after)
 
-    points, covariances = jax.vmap(refine)(start.points, pixels, weight, usable)
-    return Located(jnp.where(usable[:, None], points, 0.0), covariances, usable)
+    return jax.vmap(one)(predicted, is_new, start.points, several, pixels, weights, possible)
+
+
+def _normal(
+    rig: CameraRig, point: Float[Array, "3"], pixels: Float[Array, "C 2"], weights: Float[Array, " C"]
+) -> tuple[Float[Array, "3 3"], Float[Array, "3"]]:
+    """What the views know of a point near it (1/m^2), and the slope of half their weighted squared pixel errors."""
+
+    def one(camera: Camera) -> tuple[Array, Array]:
+        return camera.project(point), jax.jacfwd(camera.project)(point)
+
+    shown, by_point = jax.vmap(one)(rig.cameras)  # (C, 2), (C, 2, 3)
+    weighted = weights[:, None, None] * by_point
+    return jnp.einsum("cki,ckj->ij", weighted, by_point), jnp.einsum("cki,ck->i", weighted, shown - pixels)
 
 
 @jit
 def predict_all(states: State, seconds: Float[Array, ""], acceleration: Float[Array, ""]) -> State:
     """`kalman.predict` of all tracks."""
     return jax.vmap(predict, in_axes=(0, None, None))(states, seconds, acceleration)
-
-
-class Updated(NamedTuple):
-    """Tracks once their measurements were used."""
-
-    states: State  # (N,)
-    differences: Float[Array, "N 3"]  # m, innovations
-    distances2: Float[Array, " N"]  # squared, in standard deviations
-
-
-@jit
-def update_all(
-    predicted: State,
-    located: Located,
-    new: Bool[Array, " N"],
-    speed: Float[Array, ""],
-    gate: Float[Array, ""],
-) -> Updated:
-    """`kalman.update` of tracks measured within the gate, and `kalman.begin` of new ones."""
-
-    def one(state: State, point: Array, covariance: Array, usable: Array, fresh: Array) -> Updated:
-        innovation = compare(state, point, covariance)
-        inside = usable & (innovation.distance2 <= gate)
-        first, next_ = begin(point, covariance, speed), update(state, point, covariance)
-        kept = jax.tree.map(lambda a, b: jnp.where(inside, a, b), next_, state)
-        result = jax.tree.map(lambda a, b: jnp.where(fresh, a, b), first, kept)
-        return Updated(result, innovation.difference, jnp.where(fresh, 0.0, innovation.distance2))
-
-    return jax.vmap(one)(predicted, *located, new)

@@ -12,29 +12,14 @@ from jaxpoint.tracking.identity import Track
 
 
 class Status(IntEnum):
-    """How well a person's head is known in a frame."""
+    """How a person's head is known in a frame."""
 
     ABSENT = 0  # before the person's first frame or after the last
-    MEASURED = 1  # from three views or more
-    TWO_VIEWS = 2  # from two: nothing checks that they saw the same head
-    ONE_VIEW = 3  # foretold or filled in: one view alone saw a head where it was expected
-    NO_VIEW = 4  # foretold or filled in: no view did
-    AMBIGUOUS = 5  # foretold or filled in: views did, but they do not agree, or another person explains them
-
-    @property
-    def measured(self) -> bool:
-        """Whether the place comes from views of this very frame."""
-        return self in (Status.MEASURED, Status.TWO_VIEWS)
-
-
-REASONS = {
-    Status.ABSENT: "not in the room",
-    Status.MEASURED: "measured",
-    Status.TWO_VIEWS: "measured by two views only",
-    Status.ONE_VIEW: "one view only",
-    Status.NO_VIEW: "no view",
-    Status.AMBIGUOUS: "views do not agree",
-}
+    MEASURED = 1  # three views or more
+    TWO_VIEWS = 2  # two: nothing checks that they saw the same head but the track
+    ONE_VIEW = 3  # one: along its line of sight the track alone
+    NO_VIEW = 4  # the track alone: no view saw a head where it was expected
+    AMBIGUOUS = 5  # the track alone: views did, but they do not agree, or another person explains them
 
 
 @dataclass(frozen=True)
@@ -44,10 +29,9 @@ class FrameHeads:
     tracks: tuple[Track, ...]
     status: Int[np.ndarray, " T"]  # values of `Status`
     candidates: Int[np.ndarray, "T C"]  # index of the candidate of each camera; -1 where none was used
-    points: Float[np.ndarray, "T 3"]  # m, triangulated in this frame alone; 0 where not measured
-    point_covariances: Float[np.ndarray, "T 3 3"]  # m^2
-    innovations: Float[np.ndarray, "T 3"]  # m, measured minus predicted
-    innovations2: Float[np.ndarray, " T"]  # squared, in standard deviations: chi-square of 3
+    points: Float[np.ndarray, "T 3"]  # m, as the views of this frame alone see it
+    informations: Float[np.ndarray, "T 3 3"]  # of the points, 1/m^2; 0 where no view does, rank 2 where one does
+    innovations2: Float[np.ndarray, " T"]  # squared distance of measured from predicted, in standard deviations
 
     def select(self, kept: Bool[np.ndarray, " T"]) -> FrameHeads:
         """Some of the heads."""
@@ -75,7 +59,7 @@ class HeadTracks:
 
     @property
     def measured(self) -> Bool[np.ndarray, "F N"]:
-        """Where the place comes from views of the frame itself, two or more."""
+        """Where two views of the frame itself or more saw it."""
         return (self.status == Status.MEASURED) | (self.status == Status.TWO_VIEWS)
 
 
@@ -87,7 +71,6 @@ class Tracking:
     velocities: Float[np.ndarray, "F N 3"]  # m/s
     covariances: Float[np.ndarray, "F N 6 6"]  # of position and velocity, m and s
     candidates: Int[np.ndarray, "F N C"]  # which candidate of each camera is this person; -1 where none was used
-    points: Float[np.ndarray, "F N 3"]  # m, triangulated in this frame alone; 0 where not measured
-    point_covariances: Float[np.ndarray, "F N 3 3"]  # m^2
-    innovations: Float[np.ndarray, "F N 3"]  # m, measured minus predicted from the frames before
-    innovations2: Float[np.ndarray, "F N"]  # squared, in standard deviations: chi-square of 3
+    points: Float[np.ndarray, "F N 3"]  # m, as the views of a frame alone see it
+    informations: Float[np.ndarray, "F N 3 3"]  # of the points, 1/m^2; 0 where no view does, rank 2 where one does
+    innovations2: Float[np.ndarray, "F N"]  # squared distance from the prediction, in standard deviations: chi-square of 3

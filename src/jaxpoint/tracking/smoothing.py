@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import jax
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxpoint.compilation import jit
 from jaxpoint.config.track import TrackSettings
@@ -27,7 +27,7 @@ def smoothed(
 ) -> Tracking:
     """The confirmed tracks of a recording from what was measured in each frame, from the first to the last time."""
     person_of = {track.key: track.person for heads in frames for track in heads.tracks}  # the latest is what counts
-    people = np.array(sorted(person for person in person_of.values() if person))
+    people = np.array(sorted({person for person in person_of.values() if person}), int)
     column = {key: int(np.searchsorted(people, person)) for key, person in person_of.items() if person}
     tracking = _gathered(frames, column, cameras, frame_ids, times, people)
     _trim(tracking)
@@ -55,8 +55,7 @@ def _gathered(frames, column, cameras, frame_ids, times, people) -> Tracking:
         covariances=np.zeros((*shape, 6, 6)),
         candidates=np.full((*shape, len(cameras)), -1),
         points=np.zeros((*shape, 3)),
-        point_covariances=np.zeros((*shape, 3, 3)),
-        innovations=np.zeros((*shape, 3)),
+        informations=np.zeros((*shape, 3, 3)),
         innovations2=np.zeros(shape),
     )
     for frame, seen in enumerate(frames):
@@ -64,9 +63,11 @@ def _gathered(frames, column, cameras, frame_ids, times, people) -> Tracking:
             if track.key not in column:
                 continue
             place = frame, column[track.key]
+            if heads.measured[place]:  # by a later track of the same person, while this one was being waited for
+                continue
             heads.status[place] = seen.status[row]
             heads.used[place] = seen.candidates[row] >= 0
-            for name in ("candidates", "points", "point_covariances", "innovations", "innovations2"):
+            for name in ("candidates", "points", "informations", "innovations2"):
                 getattr(tracking, name)[place] = getattr(seen, name)[row]
     return tracking
 
@@ -86,12 +87,11 @@ def _smooth(tracking: Tracking, settings: TrackSettings) -> None:
     size = max(_LEAST, 1 << int(length.max() - 1).bit_length())
     rows = np.minimum(first + np.arange(size)[:, None], first + length - 1).T  # (N, L), the last frame repeated
     person = np.arange(len(first))[:, None]
-    valid = heads.measured[rows, person] & (np.arange(size) < length[:, None])
+    filling = np.arange(size) >= length[:, None]
     states = _run(
         heads.times[rows],
         tracking.points[rows, person],
-        tracking.point_covariances[rows, person],
-        valid,
+        np.where(filling[..., None, None], 0.0, tracking.informations[rows, person]),
         np.float64(settings.acceleration_m_s2),
         np.float64(settings.speed_m_s),
     )
@@ -108,8 +108,7 @@ def _smooth(tracking: Tracking, settings: TrackSettings) -> None:
 def _run(
     times: Float[Array, "N L"],
     points: Float[Array, "N L 3"],
-    covariances: Float[Array, "N L 3 3"],
-    valid: Bool[Array, "N L"],
+    informations: Float[Array, "N L 3 3"],
     acceleration: Float[Array, ""],
     speed: Float[Array, ""],
 ) -> State:
@@ -118,4 +117,4 @@ def _run(
     def one(*track: Array) -> State:
         return smooth_track(track[0], filter_track(*track, acceleration, speed))
 
-    return jax.vmap(one)(times, points, covariances, valid)
+    return jax.vmap(one)(times, points, informations)

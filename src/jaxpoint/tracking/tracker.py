@@ -14,9 +14,9 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.tracking.association import Predictions, associate, near_prediction
-from jaxpoint.tracking.identity import Track, confirmed, match
+from jaxpoint.tracking.identity import Track, named
 from jaxpoint.tracking.kalman import State
-from jaxpoint.tracking.measurement import Located, Updated, locate, predict_all, update_all
+from jaxpoint.tracking.measurement import Measured, measure, predict_all
 from jaxpoint.tracking.rays import Rays, rays_of_frames
 from jaxpoint.tracking.result import FrameHeads, Status, Tracking
 from jaxpoint.tracking.smoothing import smoothed
@@ -119,34 +119,32 @@ def _step(
         np.array([track.covariance[:3, :3] for track in tracks]).reshape(-1, 3, 3),
     )
     found = associate(rays, len(rig), expected, settings, bounds)
-    heads = match(found, expected, np.array([track.person > 0 for track in tracks], bool), settings)
-    unclaimed = np.setdiff1d(np.arange(len(found.points)), heads)
-    is_new = np.arange(len(tracks) + len(unclaimed)) >= len(tracks)
-    tracks += [Track.new(state.keys + i) for i in range(len(unclaimed))]
-    none = np.full((1, len(rig)), -1)
-    candidates = np.concatenate([found.candidates, none])[np.concatenate([heads, unclaimed])]
-    located, updated = _measured(rig, tracks, candidates, seen, is_new, settings)
-    hit = located.usable & (updated.distances2 <= chi2.ppf(settings.gate, 3))
-    tracks, people = confirmed(
-        [
-            track.after(time if measured else None, mean, square)
-            for track, measured, mean, square in zip(tracks, hit, updated.states.mean, updated.states.covariance)
-        ],
-        state.people,
-        settings,
-    )
-    candidates[~hit] = -1
+    born = found.candidates[found.tracks < 0]
+    candidates = np.full((len(tracks), len(rig)), -1)
+    candidates[found.tracks[found.tracks >= 0]] = found.candidates[found.tracks >= 0]
+    candidates = np.concatenate([candidates, born])
+    is_new = np.arange(len(candidates)) >= len(tracks)
+    tracks += [Track.new(state.keys + i, time) for i in range(len(born))]
+    measured = _measured(rig, tracks, candidates, seen, is_new, settings)
+    candidates[~measured.accepted] = -1
+    views = (candidates >= 0).sum(axis=1)
+    after = measured.states
     near = near_prediction(rays, expected, settings)
     heads = FrameHeads(
-        tuple(tracks),
-        np.array([_status(row, near[i] if i < len(near) else None, rays) for i, row in enumerate(candidates)], int),
+        tuple(
+            track.after(time if views[i] >= 2 else None, after.mean[i], after.covariance[i])
+            for i, track in enumerate(tracks)
+        ),
+        np.array([_status(views[i], near[i] if i < len(near) else None, rays) for i in range(len(views))], int),
         candidates,
-        np.where(hit[:, None], located.points, 0.0),
-        np.where(hit[:, None, None], located.covariances, 0.0),
-        np.where((hit & ~is_new)[:, None], updated.differences, 0.0),
-        np.where(hit & ~is_new, updated.distances2, 0.0),
-    ).select(hit | ~is_new)
-    return TrackerState(time, heads.tracks, state.keys + len(unclaimed), people), heads
+        measured.points,
+        measured.informations,
+        measured.distances2,
+    ).select(measured.accepted | ~is_new)
+    tracks, people = named(list(heads.tracks), state.people, settings)
+    alive = {track.key for track in tracks}
+    heads = replace(heads.select(np.array([track.key in alive for track in heads.tracks], bool)), tracks=tuple(tracks))
+    return TrackerState(time, tuple(tracks), state.keys + len(born), people), heads
 
 
 def _predicted(tracks: list[Track], seconds: float, settings: TrackSettings) -> list[Track]:
@@ -165,21 +163,15 @@ def _measured(
     seen: tuple[Float[np.ndarray, "C K 2"], Float[np.ndarray, "C K"]],
     is_new: Bool[np.ndarray, " T"],
     settings: TrackSettings,
-) -> tuple[Located, Updated]:
+) -> Measured:
     """The heads triangulated from their candidates, and their tracks with that."""
     states = _states(tracks)
     size = len(states.mean)
-    cameras = np.arange(len(rig))
-    pixels, sigma = (_padded(part[cameras, candidates], size) for part in seen)
-    located = locate(rig, pixels, _padded(candidates >= 0, size), sigma)
-    updated = update_all(
-        states,
-        located,
-        _padded(is_new, size),
-        np.float64(settings.speed_m_s),
-        np.float64(chi2.ppf(settings.gate, 3)),
-    )
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], (located, updated))
+    pixels, sigma = (_padded(part[np.arange(len(rig)), candidates], size) for part in seen)
+    used, new = _padded(candidates >= 0, size), _padded(is_new, size)
+    gates = chi2.ppf(settings.gate, (2, 3))
+    found = measure(rig, states, new, pixels, used, sigma, np.float64(settings.speed_m_s), gates)
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], found)
 
 
 def _states(tracks: list[Track]) -> State:
@@ -196,13 +188,11 @@ def _padded(values: Shaped[np.ndarray, "T ..."], size: int) -> Shaped[np.ndarray
     return np.pad(values, ((0, size - len(values)), *[(0, 0)] * (values.ndim - 1)))
 
 
-def _status(row: Int[np.ndarray, " C"], near: Bool[np.ndarray, " M"] | None, rays: Rays) -> Status:
-    """Why a track was measured or not, from the candidates it took and the rays near where it was expected."""
-    views = int((row >= 0).sum())
+def _status(views: int, near: Bool[np.ndarray, " M"] | None, rays: Rays) -> Status:
+    """How a track was measured, or why not, from the number of its views and the rays near where it was expected."""
     if views:
-        return Status.TWO_VIEWS if views == 2 else Status.MEASURED
-    seeing = 0 if near is None else len(np.unique(rays.camera[near]))
-    return (Status.NO_VIEW, Status.ONE_VIEW, Status.AMBIGUOUS)[min(seeing, 2)]
+        return (Status.ONE_VIEW, Status.TWO_VIEWS, Status.MEASURED)[min(views, 3) - 1]
+    return Status.AMBIGUOUS if near is not None and near.any() else Status.NO_VIEW
 
 
 def _bounds(settings: TrackSettings, room: Float[np.ndarray, "2 3"] | None) -> Float[np.ndarray, "2 3"]:
