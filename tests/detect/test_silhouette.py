@@ -112,8 +112,8 @@ def test_one_who_never_leaves_is_noticed_and_one_who_walks_is_not(drawn, scene):
         never_clears([drawn.exposed(who.drawn(empty), rng) for who in people], SETTINGS)
         for people in (swaying, walking)
     )
-    assert walks == 0
-    assert stays > 0.002
+    assert walks < 0.02
+    assert stays > 0.2
 
 
 def test_thickening_never_joins():

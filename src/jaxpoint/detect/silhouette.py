@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -21,13 +20,13 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
-CHANGED = 30  # grey levels, of the sum of the differences in Y, Cr, Cb of smoothed images
+GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
+GHOST_IMAGES = 30  # that it looks at
+GHOST_REGION = 0.001  # of the image: smaller regions are noise
+GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
+GHOST_RATIO = 1.5  # of the stronger edge to the weaker one
+MIN_OUTLINE = 200  # px: a shorter outline in all images together tells nothing
 SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
-TILES = 16  # places in a row of the image that `never_clears` looks at
-BUSY = 0.05  # part of a place that differs where something is
-NEVER_CLEAR = 0.7  # part of the recording: beyond it a place is not said to be clear
-LEAST_TILES = 4  # fewer are a clock, a plant, a street where people pass
-MOMENTS = 40  # images that are compared
 
 
 @dataclass(frozen=True)
@@ -110,26 +109,24 @@ def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
-    """Largest connected part of the image (0..1) in which something changes through most of a recording; 0 if small.
+    """Part (0..1) of the foreground's outlines that are edges of the background and not of the image.
 
-    There the median is a person who never leaves the spot, and not the room. One who does not move at all cannot be
-    told from furniture; one who balances, or sits and works, can. A place is busy in an image when a part of it differs
-    from the image before or from the median, and a person is `LEAST_TILES` places or more.
-
-    Raises:
-        InsufficientDataError: fewer than `min_frames` images.
+    The outline of a person is an edge of the image. Where the median has taken a person who hardly leaves for the room,
+    the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
+    holds somebody. Of one who does not move at all nothing can be known.
     """
-    chosen = np.unique(np.linspace(0, len(images) - 1, min(len(images), MOMENTS)).round().astype(int))
-    shrink = shrink_of(images[0].shape[1], settings.width_px)
-    smooth = [cv2.GaussianBlur(shrunk(images[i], shrink), (5, 5), 0) for i in chosen]
-    level = np.median(smooth[::2], axis=0).astype(np.uint8)
-    if settings.follow_light:
-        smooth = [_in_light_of(level, image) for image in smooth]
-    room, *colours = (cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb) for image in (level, *smooth))
-    pairs = [cv2.max(cv2.absdiff(before, after), cv2.absdiff(after, room)) for before, after in pairwise(colours)]
-    busy = np.mean([_busy(difference) for difference in pairs], axis=0)
-    _, regions = label_regions(busy > NEVER_CLEAR, min_area=LEAST_TILES)
-    return regions[0].area / busy.size if regions else 0.0
+    settings = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
+    background = learn_background(images, settings)
+    room = _edges(background.level)
+    left = real = 0
+    for i in np.unique(np.linspace(0, len(images) - 1, GHOST_IMAGES).round().astype(int)):
+        seen = _edges(shrunk(images[i], background.shrink))
+        outline = _outline(foreground(images[i], background, settings), background.level.shape)
+        ours, others = seen[outline], room[outline]
+        clear = np.maximum(ours, others) > GHOST_EDGE
+        left += np.count_nonzero(clear & (others > GHOST_RATIO * ours))
+        real += np.count_nonzero(clear & (ours > GHOST_RATIO * others))
+    return left / max(left + real, MIN_OUTLINE)
 
 
 def foreground(image: Image, background: RoomBackground, settings: BackgroundSettings) -> UInt8[np.ndarray, "H W"]:
@@ -296,10 +293,19 @@ def _unshaded(
     return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
-def _busy(difference: UInt8[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "R C"]:
-    """Which squares of the image differ in more than `BUSY` of their pixels."""
-    y, cr, cb = cv2.split(difference)
-    changed = cv2.compare(cv2.add(cv2.add(y, cr), cb), np.full_like(y, CHANGED), cv2.CMP_GT)
-    side = max(difference.shape[1] // TILES, 1)
-    size = (max(difference.shape[1] // side, 1), max(difference.shape[0] // side, 1))
-    return cv2.resize(changed, size, interpolation=cv2.INTER_AREA) > 255 * BUSY
+def _edges(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Largest gradient within a pixel of each."""
+    smooth = cv2.GaussianBlur(small, (3, 3), 0)
+    parts = [cv2.Sobel(smooth, cv2.CV_32F, 1 - axis, axis) for axis in (0, 1)]
+    strength = np.sqrt(sum((part**2).sum(axis=2) for part in parts))
+    return cv2.dilate(strength, np.ones((3, 3), np.uint8))
+
+
+def _outline(mask: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Border of the foreground's larger regions."""
+    small = cv2.resize(mask, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    square = np.ones((3, 3), np.uint8)
+    small = cv2.morphologyEx(closed(small, 3), cv2.MORPH_OPEN, square)
+    labels, regions = label_regions(small, min_area=max(1, int(GHOST_REGION * small.size)))
+    kept = np.isin(labels, [region.label for region in regions]).astype(np.uint8)
+    return cv2.morphologyEx(kept, cv2.MORPH_GRADIENT, square) > 0
