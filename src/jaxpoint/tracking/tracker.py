@@ -14,12 +14,13 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.tracking.association import Predictions, associate, near_prediction
+from jaxpoint.tracking.encounters import Seen, rejoin, resolve
 from jaxpoint.tracking.identity import Track, beside_others, named
 from jaxpoint.tracking.kalman import State
 from jaxpoint.tracking.measurement import Measured, measure, predict_all
 from jaxpoint.tracking.rays import Rays, rays_of_frames
-from jaxpoint.tracking.result import FrameHeads, Status, Tracking
-from jaxpoint.tracking.smoothing import smoothed
+from jaxpoint.tracking.result import FrameHeads, Status, Tracking, status_of
+from jaxpoint.tracking.smoothing import gathered, smooth
 
 _LEAST = 4  # people that a compiled program is made for at least
 
@@ -93,14 +94,22 @@ def track_heads(
     _check(rig, pixels, valid, sigma, times, len(pixels))
     state, frames = TrackerState(), []
     with jax.enable_x64(True):
-        rays = rays_of_frames(rig, pixels, valid, sigma)
-        for frame, seen in enumerate(zip(pixels, sigma)):
-            state, heads = _step(state, rig, rays[frame], seen, float(times[frame]), settings, _bounds(settings, room))
+        bounds = _bounds(settings, room)
+        seen = Seen(rig, rays_of_frames(rig, pixels, valid, sigma), pixels, sigma, bounds)
+        for frame, rays in enumerate(seen.rays):
+            own = pixels[frame], sigma[frame]
+            state, heads = _step(state, rig, rays, own, float(times[frame]), settings, bounds)
             frames.append(heads)
             if progress:
                 progress((frame + 1) / len(pixels))
         ids = np.arange(len(pixels)) if frame_ids is None else frame_ids
-        return smoothed(frames, rig.names, ids, times, settings)
+        tracking = gathered(frames, rig.names, ids, times)
+        smooth(tracking, settings)
+        rejoin(tracking, settings)
+        smooth(tracking, settings)
+        if resolve(tracking, seen, settings):
+            smooth(tracking, settings)
+        return tracking.without_the_absent()
 
 
 def _step(
@@ -191,9 +200,9 @@ def _padded(values: Shaped[np.ndarray, "T ..."], size: int) -> Shaped[np.ndarray
 
 def _status(views: int, near: Bool[np.ndarray, " M"] | None, rays: Rays) -> Status:
     """How a track was measured, or why not, from the number of its views and the rays near where it was expected."""
-    if views:
-        return (Status.ONE_VIEW, Status.TWO_VIEWS, Status.MEASURED)[min(views, 3) - 1]
-    return Status.AMBIGUOUS if near is not None and near.any() else Status.NO_VIEW
+    if views == 0 and near is not None and near.any():
+        return Status.AMBIGUOUS
+    return Status(int(status_of(np.array(views))))
 
 
 def _bounds(settings: TrackSettings, room: Float[np.ndarray, "2 3"] | None) -> Float[np.ndarray, "2 3"]:
