@@ -25,16 +25,19 @@ from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.demo import Demo
-from jaxpoint.commands.detect import Detect
+from jaxpoint.commands.detect_led import DetectLed
+from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
 from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, checked, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
-Command = Detect | Check | Calibrate | Align | Validate | Diff | Doctor | Demo
+Command = DetectLed | DetectPerson | Check | Calibrate | Align | Validate | Diff | Doctor | Demo | Simulate
 COMMANDS = get_args(Command)
+GROUPS = {"detect": "Find something in the images of every camera."}
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 
 In this order: detect, check, calibrate, align, validate; diff tells later whether a camera was touched. Without a
@@ -105,12 +108,22 @@ def parse(argv: Sequence[str]) -> Command:
     finder.add_argument("--version", action="version", version=f"jaxpoint {version('jaxpoint')}")
     path = finder.parse_known_args(argv)[0].config
     room = RoomConfig() if path is None else load_config(path)
-    kinds = [
-        Annotated[kind, tyro.conf.subcommand(kind.__name__.lower(), default=kind.with_defaults(room))]
-        for kind in COMMANDS
+    return checked(tyro.cli(_parser(room), prog="jaxpoint", description=DESCRIPTION, args=argv, config=STYLE))
+
+
+def _parser(room: RoomConfig) -> Any:
+    """One subcommand for each class; `DetectLed` is `detect led`, of the group `detect`."""
+    single, grouped = [], {group: [] for group in GROUPS}
+    for kind in COMMANDS:
+        name = kind.__name__.lower()
+        group = next((group for group in GROUPS if name.startswith(group)), None)
+        own = tyro.conf.subcommand(name.removeprefix(group or ""), default=kind.with_defaults(room))
+        (single if group is None else grouped[group]).append(Annotated[kind, own])
+    groups = [
+        Annotated[reduce(or_, kinds), tyro.conf.subcommand(group, description=GROUPS[group])]
+        for group, kinds in grouped.items()
     ]
-    union: Any = reduce(or_, kinds)
-    return checked(tyro.cli(union, prog="jaxpoint", description=DESCRIPTION, args=argv, config=STYLE))
+    return reduce(or_, [*groups, *single])
 
 
 def _run(command: Command, console: Console) -> Outcome:

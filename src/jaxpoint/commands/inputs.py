@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -87,3 +88,10 @@ def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:
 def detection_summary(tracks: Path) -> Path:
     """Where `detect` writes how it went, beside the tracks."""
     return tracks.with_suffix(".json")
+
+
+def hush_opencv(verbose: bool) -> None:
+    """Keep OpenCV from printing what our own errors say in a sentence; to be called before it is imported."""
+    if not verbose:
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+        os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")

@@ -11,6 +11,9 @@ from pathlib import Path
 from typing import Literal
 
 from jaxpoint.config.loading import load_settings
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.config.track import TrackSettings
 from jaxpoint.config.types import Count, Fraction, Positive
 
 
@@ -163,12 +166,16 @@ class DetectSettings:
     """What is looked for in images."""
 
     led: LedSettings = field(default_factory=LedSettings)
+    person: PersonSettings = field(default_factory=PersonSettings)
 
 
 @dataclass(frozen=True)
 class RuntimeSettings:
     """How the computer is used; no result depends on it."""
 
+    detection_cache: Path | None = None
+    """Folder in which what was found of people in videos is kept, by content and settings; by default the user's
+    cache folder."""
     compilation_cache: Path | None = None
     """Folder in which JAX keeps compiled programs, so that the next run starts sooner; off by default."""
 
@@ -179,9 +186,11 @@ class RoomConfig:
 
     input: InputSettings = field(default_factory=InputSettings)
     detect: DetectSettings = field(default_factory=DetectSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
     calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     validate: ValidateSettings = field(default_factory=ValidateSettings)
+    simulate: SimulationSettings = field(default_factory=SimulationSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
 
 

@@ -15,6 +15,7 @@ from jaxpoint.config import LedSettings
 from jaxpoint.detect.background import Background, mean_background, median_background
 from jaxpoint.detect.blob import Blob, Reason, find_blob
 from jaxpoint.detect.position import Positions, Spots, cut_patch, fit_positions, half_window, match_positions
+from jaxpoint.detect.workers import Advance
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.io.video import FrameSource, open_frames
 
@@ -22,9 +23,6 @@ CHANNELS = {"green": 1, "red": 2, "blue": 0}  # place in OpenCV's order; the fir
 CHANNEL_FRAMES = 25
 BACKGROUND_FRAMES = 151
 BACKGROUND_BYTES = 256 * 2**20
-
-Advance = Callable[[int, int], None]
-"""Called with the number of frames done and to do."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ class CameraLights:
     stats: CameraStats
 
 
-def find_lights(path: Path, settings: LedSettings, advance: Advance) -> CameraLights:
+def find_lights(settings: LedSettings, path: Path, advance: Advance) -> CameraLights:
     """Find the light in every frame of one camera.
 
     Raises:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxpoint.config import LedSettings
 from jaxpoint.detect.blob import Reason
-from jaxpoint.detect.camera import CameraLights, CameraStats
+from jaxpoint.detect.camera import CameraLights, CameraStats, find_lights
 from jaxpoint.detect.workers import run_cameras
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.tracks import Tracks
@@ -89,14 +90,14 @@ def detect_led(
             progress(names[camera], done, total)
 
     try:
-        run_cameras(paths, settings, finished, report)
+        run_cameras(partial(find_lights, settings), paths, settings.workers, finished, report)
     except KeyboardInterrupt:
         if not finished:
             raise
         kept = sorted(finished)
         lights = [finished[i] for i in kept]
-        partial = _assemble([paths[i] for i in kept], [names[i] for i in kept], lights, settings, started)
-        raise DetectionInterrupted(partial, len(paths)) from None
+        found = _assemble([paths[i] for i in kept], [names[i] for i in kept], lights, settings, started)
+        raise DetectionInterrupted(found, len(paths)) from None
     return _assemble(paths, names, [finished[i] for i in range(len(paths))], settings, started)
 
 

@@ -12,13 +12,16 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
-from pathlib import Path
+from typing import TypeVar
 
 import cv2
 
-from jaxpoint.config import LedSettings
-from jaxpoint.detect.camera import CameraLights, find_lights
 from jaxpoint.errors import UsageError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Advance = Callable[[int, int], None]
+"""Called with the number of frames done and to do."""
 
 REPORT_EVERY = 16  # frames
 POLL_SECONDS = 0.1
@@ -37,25 +40,36 @@ def cores() -> int:
 
 
 def run_cameras(
-    paths: Sequence[Path],
-    settings: LedSettings,
-    finished: dict[int, CameraLights],
+    work: Callable[[Item, Advance], Result],
+    items: Sequence[Item],
+    workers: int,
+    finished: dict[int, Result],
     report: Callable[[int, int, int], None],
 ) -> None:
     """Fill `finished` camera by camera, so that an interruption leaves what was complete.
 
-    Never more processes than cores, nor than `settings.workers` where that is set; with one, no process is started.
-    The first error ends the others.
+    Never more processes than cores, nor than `workers` where that is not 0; with one, no process is started. The first
+    error ends the others.
+
+    Args:
+        work: on one camera; both it and the items go to other processes.
+        items: one a camera.
+        workers: processes at most; 0 for one a core.
+        finished: results by camera.
+        report: called with camera, done, to do.
+
+    Raises:
+        UsageError: a process ended at once.
     """
-    workers = min(settings.workers or cores(), cores(), len(paths))
-    if workers <= 1:
-        for index, path in enumerate(paths):
-            finished[index] = find_lights(path, settings, lambda done, total, i=index: report(i, done, total))
+    count = min(workers or cores(), cores(), len(items))
+    if count <= 1:
+        for index, item in enumerate(items):
+            finished[index] = work(item, lambda done, total, i=index: report(i, done, total))
         return
     context = multiprocessing.get_context("spawn")
     messages, stop = context.Queue(), context.Event()
-    with ProcessPoolExecutor(workers, context, _start_worker, (messages, stop)) as pool:
-        futures = [pool.submit(_work, index, path, settings) for index, path in enumerate(paths)]
+    with ProcessPoolExecutor(count, context, _start_worker, (messages, stop)) as pool:
+        futures = [pool.submit(_work, work, index, item) for index, item in enumerate(items)]
         try:
             _collect(futures, messages, finished, report)
         except BrokenProcessPool:
@@ -74,7 +88,7 @@ def run_cameras(
 def _collect(
     futures: Sequence[Future],
     messages: Queue,
-    finished: dict[int, CameraLights],
+    finished: dict[int, Result],
     report: Callable[[int, int, int], None],
 ) -> None:
     while len(finished) < len(futures):
@@ -95,7 +109,7 @@ def _start_worker(messages: Queue, stop: Event) -> None:
     cv2.setNumThreads(1)
 
 
-def _work(index: int, path: Path, settings: LedSettings) -> CameraLights:
+def _work(work: Callable[[Item, Advance], Result], index: int, item: Item) -> Result:
     assert _messages is not None
     assert _stop is not None
     messages, stop = _messages, _stop
@@ -106,4 +120,4 @@ def _work(index: int, path: Path, settings: LedSettings) -> CameraLights:
         if done % REPORT_EVERY == 0 or done == total:
             messages.put((index, done, total))
 
-    return find_lights(path, settings, advance)
+    return work(item, advance)

@@ -30,6 +30,8 @@ _ROUNDS = 3  # of bridging and giving the candidates anew
 _CONTEXT = 16  # frames before and after an encounter that tell how people came and went
 _LONGEST = 90  # frames; two people who stand together for longer are left as they are
 _CALM = 2  # frames in a row in which both are seen well end an encounter
+_STATURE_M = 0.03  # standard deviation of a walking person's height, from one second to the next
+_GROWN = 16.0  # the most that unlike heights count
 _RETURN_M_S = 2.0  # nobody walks faster while nobody sees him
 
 
@@ -212,12 +214,27 @@ class Trial:
         """Twice the log likelihood of the rays, but for what both hypotheses share."""
         total = 0.0
         for k, (filtered, _) in enumerate(self.ways(settings)):
+            total -= self._growth(k)
             spread = filtered.predicted.covariance[1:, :3, :3] @ self.informations[self.start[k] + 1 :, k]
             total -= float(filtered.distance2[1:].sum() + np.linalg.slogdet(np.eye(3) + spread)[1].sum())
             for row, free in zip(np.flatnonzero(self.inside), rays):
                 members = self.candidates[row, k][free.camera] == free.candidate
                 total += float(explained(free, self.points[row, k][None], members[None], settings)[0])
         return total
+
+    def _growth(self, k: int) -> float:
+        """By how much the height of one who goes differs from that of the one who came, squared, in its deviations.
+
+        Bounded, since people bend and sit down.
+        """
+        measured = (self.candidates[:, k] >= 0).sum(axis=1) >= 2
+        came, went = (
+            self.points[measured & side, k, 2]
+            for side in (self.frames < self.meeting.first, self.frames > self.meeting.last)
+        )
+        if not len(came) or not len(went):
+            return 0.0
+        return min(((np.median(went) - np.median(came)) / _STATURE_M) ** 2, _GROWN)
 
     def write(self, tracking: Tracking) -> None:
         """Make this hypothesis the tracks'."""

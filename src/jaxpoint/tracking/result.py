@@ -88,7 +88,9 @@ class Tracking:
     candidates: Int[np.ndarray, "F N C"]  # which candidate of each camera is this person; -1 where none was used
     points: Float[np.ndarray, "F N 3"]  # m, as the views of a frame alone see it
     informations: Float[np.ndarray, "F N 3 3"]  # of the points, 1/m^2; 0 where no view does, rank 2 where one does
-    innovations2: Float[np.ndarray, "F N"]  # squared distance from the prediction, in standard deviations: chi-square of 3
+    innovations2: Float[
+        np.ndarray, "F N"
+    ]  # squared distance from the prediction, in standard deviations: chi-square of 3
 
     def parts(self) -> list[Shaped[np.ndarray, "F N ..."]]:
         """All arrays that are about people, to be changed in place."""

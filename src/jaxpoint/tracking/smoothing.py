@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
+
 import jax
 import numpy as np
 from jaxtyping import Array, Float, Int
@@ -14,8 +15,6 @@ from jaxpoint.tracking.kalman import Filtered, State, filter_track, smooth_track
 from jaxpoint.tracking.result import FrameHeads, HeadTracks, Status, Tracking
 
 _LEAST = 64  # frames that a compiled program is made for at least
-
-
 
 
 class Way(NamedTuple):

@@ -1,17 +1,16 @@
-"""`jaxpoint detect`: images to tracks."""
+"""`jaxpoint detect led`: images to tracks."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import asdict, dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jaxpoint.commands.console import Console, table
-from jaxpoint.commands.inputs import detection_summary
+from jaxpoint.commands.inputs import detection_summary, hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import LedSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError, UsageError
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Detect(SeededOptions):
+class DetectLed(SeededOptions):
     """Find the light in the images of every camera, and write where it was.
 
     jaxpoint detect led cam1/ cam2/ cam3.mp4 --out tracks.npz
@@ -31,22 +30,18 @@ class Detect(SeededOptions):
     Give one folder of images or one video a camera, all of the same moments.
     """
 
-    kind: Annotated[Literal["led"], tyro.conf.Positional]
-    """What to look for."""
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """One folder of images or one video a camera."""
     settings: Annotated[LedSettings, Inline] = field(default_factory=LedSettings)
 
     @staticmethod
-    def with_defaults(room: RoomConfig) -> Detect:
+    def with_defaults(room: RoomConfig) -> DetectLed:
         """The command's defaults under a configuration file."""
-        return Detect(kind=tyro.MISSING, sources=tyro.MISSING, settings=room.detect.led, runtime=room.runtime)
+        return DetectLed(sources=tyro.MISSING, settings=room.detect.led, runtime=room.runtime)
 
     def run(self, console: Console) -> Outcome:
         """Write the tracks and, beside them, how the detection went in figures and pictures."""
-        if not self.verbose:  # our own error says it in a sentence; read when OpenCV is imported
-            os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-            os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+        hush_opencv(self.verbose)
         from jaxpoint.detect.led import DetectionInterrupted, detect_led
         from jaxpoint.report.html import write_detection_section
 

@@ -1,0 +1,236 @@
+"""Scores of one simulated session: the default and the thesis's method on the same images, against the truth.
+
+Used by `person_evaluation.py`. Images stream from the renderer to the detectors and are never kept.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import cv2
+import jax
+import numpy as np
+
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.detect.motion import learn_threshold, motion_between
+from jaxpoint.detect.person import PersonWatch
+from jaxpoint.detect.silhouette import foreground, learn_background, silhouettes
+from jaxpoint.detect.thesis import thesis_finger, thesis_forearm
+from jaxpoint.person.arms import ArmReason, PointingArm
+from jaxpoint.person.following import follow
+from jaxpoint.person.views import watch
+from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
+from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
+
+LEAD = 5  # frames before the hold: enough for a head track to be confirmed
+COVERED = 0.3  # of the visible forearm and hand that a right region must hold
+ARM = {
+    "left": (Part.LEFT_UPPER_ARM, Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),
+    "right": (Part.RIGHT_UPPER_ARM, Part.RIGHT_FOREARM, Part.RIGHT_HAND, Part.RIGHT_FINGER),
+}
+
+
+@dataclass(frozen=True)
+class ViewScore:
+    """One view of one frame of a hold. Regions are "right", "wrong" or "none"."""
+
+    seed: int
+    gesture: int
+    frame: int
+    camera: int
+    visible: float  # share of the forearm
+    angle_deg: float  # between forearm and line of sight
+    finger_visible: float
+    default: str
+    default_reason: str
+    thesis: str
+    thesis_finger: str
+    detect_ms: float
+
+
+@dataclass(frozen=True)
+class GestureScore:
+    """One hold. Errors are NaN where there is no answer."""
+
+    seed: int
+    gesture: int
+    person: int
+    law: str
+    sleeve: str
+    clothes_like_skin: str
+    stature_m: float
+    tone: float
+    usable_views: int  # median over the hold
+    frames: int
+    answered: int  # frames with an axis
+    direction_deg: float  # of the hold's median axis against the true one
+    tip_m: float
+    head_m: tuple[float, ...]  # of every frame
+    arm_ms: float  # of all views of a frame together
+
+
+def score_session(
+    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, gestures: Sequence[int] | None = None
+) -> tuple[list[ViewScore], list[GestureScore]]:
+    """Run both methods over the holds of one session."""
+    person = person or PersonSettings()
+    session = simulate_session(settings, seed)
+    cameras = range(len(session.viewpoints))
+    rooms = [_learnt(session, camera, person) for camera in cameras]
+    focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
+    views, scores = [], []
+    for gesture in session.gestures:
+        if gestures is not None and gesture.number not in gestures:
+            continue
+        first = session.frame_at(gesture.hold_first_s) + 1
+        moments = range(first - LEAD, session.frame_at(gesture.hold_last_s))
+        held = range(first, moments.stop)
+        shown: dict[tuple[int, int], SimulatedFrame] = {}
+        seen, spent = [], np.zeros(len(cameras))
+        for camera in cameras:
+            frames = [session.frame(moment, camera) for moment in moments]
+            shown |= {(frame.frame, camera): frame for frame in frames}
+            size = (frames[0].image.shape[1], frames[0].image.shape[0])
+            watcher = PersonWatch(rooms[camera][0], rooms[camera][1], float(focal[camera]), person)
+            started = time.perf_counter()
+            seen.append(watch(((i, f.image) for i, f in enumerate(frames)), len(frames), size, watcher))
+            spent[camera] = 1e3 * (time.perf_counter() - started) / len(frames)
+        times = np.array([session.time_of(moment) for moment in moments])
+        started = time.perf_counter()
+        with jax.enable_x64(True):
+            following = follow(session.rig, seen, times, frame_ids=np.array(moments))
+        arm_ms = 1e3 * (time.perf_counter() - started) / len(moments)
+        arms = _arms_of(following, session, gesture, moments)
+        for moment in held:
+            for camera in cameras:
+                views.append(
+                    _view_score(session, gesture, shown[moment, camera], arms.get(moment), rooms[camera][0], person, spent)
+                )
+        scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, arm_ms))
+    return views, scores
+
+
+def _learnt(session: SimulatedSession, camera: int, person: PersonSettings):
+    images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
+    counts = [motion_between(a, b, person.motion).edges for a, b in zip(images, images[1:])]
+    return learn_background(images, person.background), learn_threshold(counts, person.motion)
+
+
+def _arms_of(following, session, gesture, moments) -> dict[int, PointingArm]:
+    """The arm of the gesture's person at each moment: of the head track nearest to the true head."""
+    arms = {}
+    heads = following.tracking.heads
+    for row, moment in enumerate(moments):
+        truth = _joints(session, gesture, moment)
+        best = None
+        for (at, person), arm in following.arms.items():
+            if at == row and arm is not None:
+                off = float(np.linalg.norm(heads.positions[row, person] - truth["head"]))
+                if off < 0.3 and (best is None or off < best[0]):
+                    best = off, arm
+        if best is not None:
+            arms[moment] = best[1]
+    return arms
+
+
+def _joints(session, gesture, moment) -> dict[str, np.ndarray]:
+    time_s = session.time_of(moment)
+    actor = next(a for a in session.present(time_s) if a.person.number == gesture.person)
+    return actor.joints(time_s)
+
+
+def _view_score(session, gesture, frame, arm, room, person, spent) -> ViewScore:
+    truth = next(v for v in frame.views if v.person == gesture.person)
+    parts = np.array(ARM[gesture.hand]) + PARTS_A_PERSON * gesture.person
+    labels = frame.labels
+    own = None if arm is None else arm.views[frame.camera]
+    region = None
+    if own is not None and own.reason == ArmReason.FOUND:
+        region = _polygon(own.strip, labels.shape)
+    found = silhouettes(foreground(frame.image, room, person.background), person.silhouette)
+    forearm = finger = None
+    if found:
+        thesis = thesis_forearm(frame.image, found[0], person.thesis)
+        forearm = _mask_of(thesis, labels.shape)
+    return ViewScore(
+        session.seed, gesture.number, frame.frame, frame.camera, truth.forearm_visible, truth.forearm_angle_deg,
+        truth.finger_visible, _judged(region, labels, parts), "no_arm" if own is None else own.reason.name.lower(),
+        _judged(forearm, labels, parts), _judged(finger, labels, parts[2:]), float(spent[frame.camera]),
+    )  # fmt: skip
+
+
+def _judged(region: np.ndarray | None, labels: np.ndarray, parts: np.ndarray) -> str:
+    """Right where most of the region is the arm, and it holds enough of the visible forearm (or finger) and hand."""
+    if region is None or not region.any():
+        return "none"
+    arm = np.isin(labels, parts)
+    forearm = np.isin(labels, parts[1:] if len(parts) > 2 else parts)
+    inside = region & arm
+    held = (region & forearm).sum() >= COVERED * max(1, forearm.sum())
+    return "right" if 2 * inside.sum() >= region.sum() and held else "wrong"
+
+
+def _polygon(strip, shape) -> np.ndarray:
+    """The pixels between a strip's edges."""
+    held = strip.width > 0
+    middle, width = strip.middle[held], strip.width[held]
+    along = middle[-1] - middle[0]
+    along /= max(np.hypot(*along), 1e-9)
+    side = np.array([-along[1], along[0]])
+    edges = np.concatenate([middle + width[:, None] / 2 * side, (middle - width[:, None] / 2 * side)[::-1]])
+    mask = np.zeros(shape, np.uint8)
+    cv2.fillPoly(mask, [np.round(edges).astype(np.int32)], 1)
+    return mask > 0
+
+
+def _mask_of(region, shape) -> np.ndarray | None:
+    """A thesis region as a mask of the whole image; None where nothing was found."""
+    if region.mask is None or not region.mask.size:
+        return None
+    x, y, width, height = region.region.box
+    mask = np.zeros(shape, bool)
+    mask[y : y + height, x : x + width] = region.mask
+    return mask
+
+
+def _gesture_score(session, gesture, held, arms, following, moments, views, arm_ms) -> GestureScore:
+    who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
+    own = [v for v in views if v.gesture == gesture.number and v.seed == session.seed]
+    usable = [
+        sum(v.visible >= 0.6 and v.angle_deg > 45 for v in own if v.frame == moment) for moment in held
+    ]
+    axes, true_axes, tips, heads = [], [], [], []
+    tracked = following.tracking.heads
+    for moment in held:
+        truth = _joints(session, gesture, moment)
+        row = moment - moments.start
+        places = tracked.positions[row][tracked.present[row]]
+        if len(places):
+            heads.append(float(np.linalg.norm(places - truth["head"], axis=1).min()))
+        if moment in arms:
+            axes.append(arms[moment].direction)
+            forearm = truth[f"{gesture.hand}_wrist"] - truth[f"{gesture.hand}_elbow"]
+            true_axes.append(forearm / np.linalg.norm(forearm))
+            tips.append(float(np.linalg.norm(arms[moment].tip - truth[f"{gesture.hand}_tip"])))
+    direction = np.nan
+    if axes:
+        direction = float(np.degrees(np.arccos(np.clip(_middle(axes) @ _middle(true_axes), -1, 1))))
+    return GestureScore(
+        session.seed, gesture.number, gesture.person, gesture.law, who.sleeve, who.clothes_like_skin, who.stature_m,
+        who.tone, int(np.median(usable)), len(held), len(axes), direction,
+        float(np.median(tips)) if tips else np.nan, tuple(heads), arm_ms,
+    )  # fmt: skip
+
+
+def _middle(directions: Sequence[np.ndarray]) -> np.ndarray:
+    """Median direction of a hold."""
+    middle = np.median(np.array(directions), axis=0)
+    return middle / np.linalg.norm(middle)
+
+
+def as_rows(scores: Sequence[ViewScore] | Sequence[GestureScore]) -> list[dict]:
+    """For JSON."""
+    return [asdict(score) for score in scores]

@@ -1,0 +1,160 @@
+"""`jaxpoint detect person`: a session's videos to people, their heads and their pointing arms."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import hush_opencv
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.track import TrackSettings
+from jaxpoint.errors import InsufficientDataError
+
+if TYPE_CHECKING:
+    from jaxpoint.io.session import Session
+    from jaxpoint.person.following import Following
+    from jaxpoint.person.views import CameraViews
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectPerson(SeededOptions):
+    """Find the people in a session's videos: silhouettes, heads, head tracks, and the arm that each stretches out.
+
+    jaxpoint detect person session/ --out person-run
+
+    The session is a folder with videos/cam_0.mp4, ..., calibration.json, and, better, empty/cam_0.mp4, ... of the empty
+    room. Without a calibration each view is looked at alone. What was found is kept, and not looked for again in videos
+    that did not change.
+    """
+
+    session: Annotated[Path, tyro.conf.Positional]
+    """Folder of the session, or of its videos."""
+    calibration: Path | None = None
+    """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    format: Literal["csv", "parquet"] = "csv"
+    """Form of the tables; parquet needs pyarrow."""
+    cache: bool = True
+    """Keep what is found, and use what was kept."""
+    workers: Count = 0
+    """Processes used, one camera each; 0 takes one per core."""
+    settings: Annotated[PersonSettings, Inline] = field(default_factory=PersonSettings)
+    track: TrackSettings = field(default_factory=TrackSettings)
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> DetectPerson:
+        """The command's defaults under a configuration file."""
+        return DetectPerson(session=tyro.MISSING, settings=room.detect.person, track=room.track, runtime=room.runtime)
+
+    def run(self, console: Console) -> Outcome:
+        """Write tables, head tracks and a page of pictures into `--out`."""
+        hush_opencv(self.verbose)
+        from jaxpoint.io.session import open_session
+        from jaxpoint.io.table import check_table_path
+        from jaxpoint.person.following import follow
+        from jaxpoint.person.recording import default_cache, watch_session
+        from jaxpoint.runs import check_out
+
+        out = self.needed_out("person-run")
+        check_out(out, self.force)
+        check_table_path(out / f"detections.{self.format}")
+        session = open_session(self.session, self.calibration)
+        kept = (self.runtime.detection_cache or default_cache()) if self.cache else None
+        with console.progress() as progress:
+            views = watch_session(session, self.settings, cache=kept, workers=self.workers, progress=progress)
+            following = None
+            if session.rig is not None and len(session.names) > 1:
+                following = follow(
+                    session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress
+                )
+        figures = _write(self, out, session, views, following)
+        return Outcome(figures, _lines(figures, out), _failure(figures))
+
+
+def _write(
+    command: DetectPerson, out: Path, session: Session, views: tuple[CameraViews, ...], following: Following | None
+) -> dict[str, Any]:
+    from jaxpoint.config import to_toml
+    from jaxpoint.io.table import write_table
+    from jaxpoint.person.tables import arms, detections
+    from jaxpoint.runs import MARK, new_run, provenance, write_json
+
+    figures = _figures(session, views, following)
+    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session], command.seed)
+    with new_run(out, command.force) as folder:
+        write_json(folder / MARK, made)
+        write_json(folder / "metrics.json", figures)
+        settings = RoomConfig(track=command.track)
+        (folder / "config.toml").write_text(to_toml(settings), encoding="utf-8")
+        write_table(folder / f"detections.{command.format}", detections(session, views, following))
+        if following is not None:
+            write_table(folder / f"arms.{command.format}", arms(session, following))
+    return figures
+
+
+def _figures(session: Session, views: tuple[CameraViews, ...], following: Following | None) -> dict[str, Any]:
+    from jaxpoint.detect.person import FrameReason
+    from jaxpoint.person.views import head_found
+
+    cameras = []
+    for name, view in zip(session.names, views):
+        reasons = Counter(FrameReason(int(reason)).name.lower() for reason in view.reasons)
+        cameras.append(
+            {
+                "name": name,
+                "frames": len(view.reasons),
+                "with_person": reasons.pop("person", 0),
+                "heads": int(head_found(view).sum()),
+                "without_colour": int(view.grey.sum()),
+                "reasons": dict(reasons),
+            }
+        )
+    people = []
+    if following is not None:
+        heads = following.tracking.heads
+        for person, number in enumerate(heads.people.tolist()):
+            found = [arm is not None for (_, who), arm in following.arms.items() if who == person]
+            people.append({"person": number, "moments": int(heads.present[:, person].sum()), "arms": sum(found)})
+    notes = [*session.notes, *(note for view in views for note in view.notes)]
+    return {
+        "moments": len(session.moments),
+        "cameras": cameras,
+        "people": people,
+        "followed": following is not None,
+        "notes": notes,
+    }
+
+
+def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
+    rows = [
+        (
+            camera["name"],
+            f"{camera['with_person']}/{camera['frames']}",
+            camera["heads"],
+            ", ".join(f"{count} {why}" for why, count in camera["reasons"].items()),
+        )
+        for camera in figures["cameras"]
+    ]
+    lines = table(("camera", "person in", "heads", "other frames"), rows)
+    for person in figures["people"]:
+        lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
+    if not figures["followed"]:
+        lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
+    return (*lines, *figures["notes"], f"Tables: {out}")
+
+
+def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
+    if any(camera["with_person"] for camera in figures["cameras"]):
+        return None
+    return InsufficientDataError(
+        f"Nobody was found in {figures['moments']} moments of {len(figures['cameras'])} cameras; the table says what "
+        "each frame held. A lower --background.threshold finds fainter people."
+    )

@@ -1,0 +1,101 @@
+"""`jaxpoint simulate`: a recording of people in a room, whose truth is known."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from jaxpoint.commands.console import Console
+from jaxpoint.commands.options import Outcome, SeededOptions
+from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config.simulation import AtLeastOne, SimulationSettings
+
+if TYPE_CHECKING:
+    from jaxpoint.simulate.session import SimulatedSession
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulate(SeededOptions):
+    """Make a recording of people who point at things in a room, with the truth of every frame beside it.
+
+    jaxpoint simulate --out session --gestures 8
+
+    Further settings stand in [simulate] of the file of --config.
+    """
+
+    gestures: Count | None = None
+    """How often somebody points (default 8)."""
+    people: Count | None = None
+    """How many people there are (default 2)."""
+    cameras: AtLeastOne | None = None
+    """How many cameras hang in the room (default 6)."""
+    size: Annotated[tuple[AtLeastOne, AtLeastOne] | None, tyro.conf.arg(metavar="WIDTH HEIGHT")] = None
+    """Of the images, px (default 1280 720)."""
+    wave: bool = False
+    """Wave a light through the dark room first, for `detect led` and `calibrate`."""
+    masks: bool = False
+    """Also write whose pixel is which, an image a frame."""
+    settings: tyro.conf.Suppress[SimulationSettings] = field(default_factory=SimulationSettings)
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> Simulate:
+        """The command's defaults under a configuration file."""
+        return Simulate(settings=room.simulate, runtime=room.runtime)
+
+    def run(self, console: Console) -> Outcome:
+        """Write the session's folder, whole or not at all."""
+        from jaxpoint.runs import MARK, check_out, new_run, provenance, write_json
+        from jaxpoint.simulate.recording import write_session
+        from jaxpoint.simulate.session import simulate_session
+        from jaxpoint.simulate.wave import simulate_wave
+
+        out = self.needed_out("session")
+        check_out(out, self.force)
+        with console.progress() as progress:
+            session = simulate_session(self._resolved(), self.seed, progress)
+            wave = simulate_wave(session) if self.wave else None
+            with new_run(out, self.force) as folder:
+                write_session(folder, session, wave=wave, masks=self.masks, progress=progress)
+                write_json(folder / MARK, provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), (), self.seed))
+        return _outcome(out, session, self.wave)
+
+    def _resolved(self) -> SimulationSettings:
+        """The settings with what flags say."""
+        people = {"gestures": self.gestures, "people": self.people}
+        views = {"cameras": self.cameras, "size": self.size}
+        return replace(
+            self.settings,
+            people=replace(self.settings.people, **_given(people)),
+            viewpoints=replace(self.settings.viewpoints, **_given(views)),
+        )
+
+
+def _given(flags: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in flags.items() if value is not None}
+
+
+def _outcome(out: Path, session: SimulatedSession, wave: bool) -> Outcome:
+    images = int(session.clocks.present.sum())
+    figures = {
+        "session": str(out),
+        "seed": session.seed,
+        "cameras": list(session.rig.names),
+        "moments": session.clocks.moments,
+        "images": images,
+        "gestures": len(session.gestures),
+        "objects": len(session.objects),
+        "seconds_shown": session.play.duration_s,
+        "wave": wave,
+    }
+    lines = (
+        f"{images} images of {len(session.viewpoints)} cameras, {session.play.duration_s:.1f} s, "
+        f"{len(session.gestures)} gestures among {len(session.objects)} named objects",
+        f"Preview: {out / 'preview.png'}",
+        f"Session: {out}",
+    )
+    return Outcome(figures, lines)

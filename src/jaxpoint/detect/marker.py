@@ -1,0 +1,126 @@
+"""A coloured marker on the pointing finger (thesis 6.3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from jaxpoint.config.person import MarkerSettings
+from jaxpoint.detect.colour import Image, is_grey
+from jaxpoint.detect.region import Region, label_regions
+from jaxpoint.detect.silhouette import Silhouette
+from jaxpoint.errors import InsufficientDataError
+
+LEVELS = np.arange(256.0)
+CIRCLE = 180  # OpenCV's hues of 8-bit images
+
+
+class MarkerReason(IntEnum):
+    """Why a silhouette gave a marker, or gave none."""
+
+    FOUND = 0
+    GREY = 1  # the image has no colour
+    NO_COLOUR = 2  # no pixel of the person has the marker's
+    TOO_SMALL = 3  # what has it is no larger than noise
+
+
+@dataclass(frozen=True)
+class MarkerModel:
+    """Colour of a marker: hue of 180, saturation and value of 255, and how far a pixel may lie from each."""
+
+    hue: float
+    saturation: float
+    value: float
+    hue_gate: float
+    saturation_gate: float
+    value_gate: float
+
+
+@dataclass(frozen=True)
+class Marker:
+    """The marker's region in an image."""
+
+    mask: Bool[np.ndarray, "h w"]  # the pixels inside `region.box`; (0, 0) where not found
+    region: Region | None  # in the whole image
+    reason: MarkerReason
+
+
+def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings) -> MarkerModel:
+    """The marker's colour from pixels picked on it; the hue is averaged on the circle.
+
+    Raises:
+        InsufficientDataError: fewer than `min_pixels`, or hardly any saturation: a grey marker has no hue.
+    """
+    if len(bgr_pixels) < settings.min_pixels:
+        raise InsufficientDataError(
+            f"A marker's colour is learnt from at least {settings.min_pixels} pixels, and {len(bgr_pixels)} were "
+            "picked; pick more of them, in several images."
+        )
+    hue, saturation, value = cv2.cvtColor(bgr_pixels[None], cv2.COLOR_BGR2HSV)[0].astype(float).T
+    if np.median(saturation) < settings.min_saturation:
+        raise InsufficientDataError(
+            f"The picked pixels have a median saturation of {np.median(saturation):.0f} of 255, below "
+            f"{settings.min_saturation:.0f}, so that their hue is noise; use a marker of a strong colour."
+        )
+    middle = _mean_hue(hue)
+    spreads = np.array([_hue_distance(hue, middle).std(), saturation.std(), value.std()])
+    fixed = np.array([settings.hue_gate, settings.saturation_gate, settings.value_gate])
+    learnt = np.clip(settings.deviations * spreads, fixed / 2, 2 * fixed)
+    gates = learnt if settings.gates == "sigma" else fixed
+    return MarkerModel(middle, float(saturation.mean()), float(value.mean()), *gates.tolist())
+
+
+def find_marker(image: Image, silhouette: Silhouette, model: MarkerModel, settings: MarkerSettings) -> Marker:
+    """The largest region of the marker's colour in a silhouette or close to it.
+
+    The thesis also asks for a shape and takes the farthest region (`thesis_finger`); a marker that points at the camera
+    or at the floor has another one, and the view of it is judged in 3-D.
+    """
+    if is_grey(image):
+        return _missing(MarkerReason.GREY)
+    reach = settings.reach_px
+    x, y, width, height = silhouette.box
+    left, top = max(x - reach, 0), max(y - reach, 0)
+    part = image[top : y + height + reach, left : x + width + reach]
+    near = np.zeros(part.shape[:2], dtype=np.uint8)
+    near[y - top : y - top + height, x - left : x - left + width] = silhouette.mask
+    near = cv2.dilate(near, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
+    mask = marker_mask(np.ascontiguousarray(part), model) & near
+    if not mask.any():
+        return _missing(MarkerReason.NO_COLOUR)
+    labels, regions = label_regions(mask, min_area=settings.min_area_px + 1)
+    if not regions:
+        return _missing(MarkerReason.TOO_SMALL)
+    return Marker(regions[0].crop(labels), regions[0].moved(left, top), MarkerReason.FOUND)
+
+
+def marker_mask(image: Image, model: MarkerModel) -> Bool[np.ndarray, "H W"]:
+    """Pixels of the marker's colour."""
+    near = np.stack(
+        [
+            _hue_distance(LEVELS, model.hue) <= model.hue_gate,
+            np.abs(LEVELS - model.saturation) <= model.saturation_gate,
+            np.abs(LEVELS - model.value) <= model.value_gate,
+        ],
+        axis=-1,
+    )
+    passed = cv2.LUT(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), near.view(np.uint8)[None])
+    hue, saturation, value = cv2.split(passed)
+    return cv2.bitwise_and(hue, cv2.bitwise_and(saturation, value)) > 0
+
+
+def _mean_hue(hues: Float[np.ndarray, " N"]) -> float:
+    angles = hues * (2 * np.pi / CIRCLE)
+    return float(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean()) * CIRCLE / (2 * np.pi) % CIRCLE)
+
+
+def _hue_distance(hues: Float[np.ndarray, " N"], middle: float) -> Float[np.ndarray, " N"]:
+    return np.abs((hues - middle + CIRCLE / 2) % CIRCLE - CIRCLE / 2)
+
+
+def _missing(reason: MarkerReason) -> Marker:
+    return Marker(np.zeros((0, 0), dtype=bool), None, reason)

@@ -1,0 +1,171 @@
+"""One camera's look for people: frame by frame, from an image to heads and crops."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from jaxtyping import UInt8
+
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.detect.arm import Crop, Pixel
+from jaxpoint.detect.colour import Image, is_grey
+from jaxpoint.detect.head import Head, find_head
+from jaxpoint.detect.motion import motion_between
+from jaxpoint.detect.silhouette import AdaptiveBackground, RoomBackground, Silhouette, closed, foreground, silhouettes
+from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model
+
+DARK = 16.0  # grey levels: brighter than this are fewer than 1 % of the pixels of an image without light
+BLOWN = 0.5  # part of the pixels that are saturated in an image with too much
+SATURATED = 250
+MARGIN = 0.35  # of a silhouette's height, around it: an arm may be cut off from the trunk
+GAP = 0.2  # of a head's height, the widest gap in a limb that is closed
+SEAM_PX = 3  # skin this far outside the foreground still belongs to it: a fingertip is thin
+
+
+class FrameReason(IntEnum):
+    """What a frame of one camera held."""
+
+    PERSON = 0
+    NO_IMAGE = 1  # the camera has no frame at this moment
+    REPEATED = 2  # the same image as before: a frame was doubled
+    TOO_DARK = 3
+    BLOWN_OUT = 4  # more than half of the pixels are saturated
+    LIGHT_SWITCHED = 5  # most of the image changed in one direction
+    IDLE = 6  # nothing moved, and nobody was there before
+    NOBODY = 7  # nothing that is large enough differs from the room
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """A person in one image, or what may be one."""
+
+    silhouette: Silhouette
+    head: Head
+    crop: Crop
+
+
+@dataclass(frozen=True)
+class Look:
+    """What one frame of one camera held."""
+
+    reason: FrameReason
+    edges: int  # moving edge pixels
+    grey: bool  # the image has no colour, so that skin cannot be told
+    sightings: tuple[Sighting, ...] = ()
+
+
+class PersonWatch:
+    """Looks through one camera's frames in their order; remembers the last image and whether anybody was there."""
+
+    def __init__(
+        self,
+        background: RoomBackground | None,
+        motion_threshold: float,
+        focal_px: float,
+        settings: PersonSettings,
+        model: SkinModel | None = None,
+    ):
+        """
+        Args:
+            background: of the empty room; None learns while watching (`background.method` mog2 or knn).
+            motion_threshold: edge pixels above which something moves.
+            focal_px: focal length, px.
+            settings: of all stages.
+            model: of skin; by default the one that the settings name.
+        """
+        self._background = background if background is not None else AdaptiveBackground(settings.background)
+        self._threshold = motion_threshold
+        self._focal = focal_px
+        self._settings = settings
+        self._model = model or skin_model(settings.skin)
+        self._previous: Image | None = None
+        self._moving = self._still = 0
+        self._occupied = True  # until a first look has shown otherwise
+
+    def look(self, image: Image) -> Look:
+        """The next frame."""
+        spoilt = _exposure(image)
+        previous, self._previous = self._previous, image
+        if spoilt is not None:
+            return Look(spoilt, 0, False)
+        edges = 0
+        if previous is not None:
+            if _same(previous, image):
+                return Look(FrameReason.REPEATED, 0, False)
+            motion = motion_between(previous, image, self._settings.motion)
+            edges = motion.edges
+            if motion.is_light_switch:
+                self._occupied = True
+                return Look(FrameReason.LIGHT_SWITCHED, edges, False)
+            self._count(edges)
+        if not self._occupied:
+            return Look(FrameReason.IDLE, edges, False)
+        return self._seen(image, edges)
+
+    def _count(self, edges: int) -> None:
+        """Hysteresis of motion; who stands still stays, as long as a silhouette does."""
+        moving = edges > self._threshold
+        self._moving, self._still = (self._moving + 1, 0) if moving else (0, self._still + 1)
+        if self._moving >= self._settings.motion.frames_on:
+            self._occupied = True
+
+    def _seen(self, image: Image, edges: int) -> Look:
+        if isinstance(self._background, AdaptiveBackground):
+            mask = self._background.foreground(image)
+        else:
+            mask = foreground(image, self._background, self._settings.background)
+        found = silhouettes(mask, self._settings.silhouette)
+        grey = is_grey(image)
+        if not found:
+            self._occupied = self._still < self._settings.motion.frames_off
+            return Look(FrameReason.NOBODY, edges, grey)
+        sightings = tuple(self._sighting(image, mask, silhouette, grey) for silhouette in found)
+        return Look(FrameReason.PERSON, edges, grey, sightings)
+
+    def _sighting(self, image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, grey: bool) -> Sighting:
+        head = find_head(silhouette, self._focal, self._settings.head)
+        gap = int(GAP * head.height_px) if head.found else 0
+        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, None if grey else self._model, gap))
+
+
+def cut_crop(
+    image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, model: SkinModel | None, gap_px: int = 0
+) -> Crop:
+    """The surroundings of a silhouette: which pixels are foreground, and which of them skin.
+
+    Args:
+        image: the whole image.
+        mask: its foreground.
+        silhouette: of the person.
+        model: of skin; None where the image has no colour.
+        gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
+    """
+    x, y, width, height = silhouette.box
+    reach = int(MARGIN * height)
+    left, top = max(x - reach, 0), max(y - reach, 0)
+    right, bottom = min(x + width + reach, image.shape[1]), min(y + height + 2 * SEAM_PX, image.shape[0])
+    own = mask[top:bottom, left:right].copy()
+    own[y - top : y - top + height, x - left : x - left + width] |= silhouette.mask.view(np.uint8) * np.uint8(255)
+    if gap_px > 1:
+        own = closed(own, gap_px | 1)
+    labels = (own > 0).astype(np.uint8) * np.uint8(Pixel.PERSON)
+    if model is not None:
+        near = cv2.dilate(own, np.ones((2 * SEAM_PX + 1, 2 * SEAM_PX + 1), np.uint8))
+        skin = skin_mask(np.ascontiguousarray(image[top:bottom, left:right]), model) & (near > 0)
+        labels[skin] = Pixel.SKIN
+    return Crop(labels, (left, top), silhouette.image_size)
+
+
+def _exposure(image: Image) -> FrameReason | None:
+    some = image[4::16, 4::16].max(axis=2)
+    if np.percentile(some, 99) < DARK:
+        return FrameReason.TOO_DARK
+    return FrameReason.BLOWN_OUT if np.mean(some >= SATURATED) > BLOWN else None
+
+
+def _same(previous: Image, image: Image) -> bool:
+    """Whether two images are one: a new one would have other noise."""
+    return np.array_equal(previous[::8, ::8], image[::8, ::8])

@@ -1,0 +1,290 @@
+"""People as regions that differ from the empty room (thesis 6.2.1, 6.2.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float32, UInt8
+
+from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
+from jaxpoint.detect.background import median_background
+from jaxpoint.detect.colour import Image, scaled, shrink_of, shrunk
+from jaxpoint.detect.region import Mask, Region, label_regions
+from jaxpoint.errors import InsufficientDataError
+
+GAIN_GRID = 8  # px between the pixels from which the common gain is taken
+GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
+MIN_GAIN_PIXELS = 100
+MAX_GAIN = 2.0
+SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
+SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
+TILE = 16  # px, side of the places that `never_clears` looks at
+NEVER_CLEAR = 0.5  # part of the recording in which a place is covered: beyond it the median is not the room
+
+
+@dataclass(frozen=True)
+class RoomBackground:
+    """What a camera sees of the room alone, at 1/shrink of the image's size."""
+
+    level: UInt8[np.ndarray, "h w 3"]  # blue, green, red: medians
+    colour: UInt8[np.ndarray, "h w 3"]  # the same as Y, Cr, Cb
+    threshold: UInt8[np.ndarray, "h w"]  # grey levels, of the sum of the differences in Y, Cr, Cb
+    weak: UInt8[np.ndarray, "h w"]  # the same for pixels next to those above it
+    shrink: int
+    size: tuple[int, int]  # px, width and height of the whole image
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """One region of foreground, a person as a rule."""
+
+    mask: Bool[np.ndarray, "h w"]  # the pixels inside `box`
+    box: tuple[int, int, int, int]  # px: left, top, width, height
+    region: Region
+    image_size: tuple[int, int]  # px, width and height
+
+    @property
+    def at_border(self) -> bool:
+        """Whether it touches a side or the top of the image, so that a part of the person may be outside."""
+        x, y, width, _ = self.box
+        return x == 0 or y == 0 or x + width == self.image_size[0]
+
+    def full(self) -> Bool[np.ndarray, "H W"]:
+        """The mask in an image of the full size."""
+        x, y, width, height = self.box
+        whole = np.zeros(self.image_size[::-1], dtype=bool)
+        whole[y : y + height, x : x + width] = self.mask
+        return whole
+
+    def crop(self, image: UInt8[np.ndarray, "H W ..."]) -> UInt8[np.ndarray, "h w ..."]:
+        """The part of an image inside its box; a view, not a copy."""
+        x, y, width, height = self.box
+        return image[y : y + height, x : x + width]
+
+
+def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> RoomBackground:
+    """Median and MAD of every pixel over images of one camera, spread over the recording or of the empty room.
+
+    Each image is first brought to the light of the median of all (`follow_light`), so that flicker does not widen the
+    thresholds.
+
+    Raises:
+        InsufficientDataError: fewer than `min_frames` images.
+    """
+    if len(images) < settings.min_frames:
+        raise InsufficientDataError(
+            f"A background is learnt from at least {settings.min_frames} images, and there are {len(images)}; record "
+            "the empty room for longer, or lower `background.min_frames`."
+        )
+    chosen = np.unique(np.linspace(0, len(images) - 1, min(len(images), settings.max_frames)).round().astype(int))
+    shrink = shrink_of(images[0].shape[1], settings.width_px)
+    small = np.stack([shrunk(images[i], shrink) for i in chosen])
+    if settings.follow_light:
+        reference = np.median(small[:: max(1, len(small) // 15)], axis=0).astype(np.uint8)
+        small = np.stack([_in_light_of(reference, image) for image in small])
+    level = np.stack([median_background(small[..., channel]).level for channel in range(3)], axis=-1)
+    in_colour = np.stack([cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb) for image in small])
+    channels = [median_background(in_colour[..., channel]) for channel in range(3)]
+    deviation = np.sqrt(sum(channel.deviation**2 for channel in channels))
+    deviations = settings.deviations * deviation
+    return RoomBackground(
+        level=np.round(level).astype(np.uint8),
+        colour=np.round(np.stack([channel.level for channel in channels], axis=-1)).astype(np.uint8),
+        threshold=_levels(np.maximum(settings.threshold, deviations)),
+        weak=_levels(np.maximum(settings.weak_threshold, deviations)),
+        shrink=shrink,
+        size=(images[0].shape[1], images[0].shape[0]),
+    )
+
+
+def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    return np.floor(np.minimum(threshold, 255)).astype(np.uint8)
+
+
+def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
+    """Largest connected part of the image (0..1) that is covered in more than half of a recording.
+
+    There the median is a person who never leaves the spot, and not the room. One who does not move at all cannot be
+    told from furniture; one who stands and balances, or sits and works, is: places that change against the median or
+    between images in more than half of the recording, however little of the person changes at a time.
+    """
+    background = learn_background(images, settings)
+    step = max(1, len(images) // settings.max_frames)
+    masks = [foreground(images[i], background, replace(settings, shadows=False)) for i in range(0, len(images), step)]
+    busy = np.mean([_tiles(mask) for mask in masks], axis=0)
+    _, regions = label_regions(busy > NEVER_CLEAR)
+    return regions[0].area / busy.size if regions else 0.0
+
+
+def foreground(image: Image, background: RoomBackground, settings: BackgroundSettings) -> UInt8[np.ndarray, "H W"]:
+    """Pixels that are not the empty room, 255 where they are.
+
+    Raises:
+        ValueError: the image has another size than the background.
+    """
+    size = (image.shape[1], image.shape[0])
+    if size != background.size:
+        raise ValueError(f"The image has {size[0]} x {size[1]} px and the background {background.size}; learn it anew.")
+    small = shrunk(image, background.shrink)
+    if settings.follow_light:
+        small = _in_light_of(background.level, small)
+    colour = cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb)
+    difference = cv2.absdiff(colour, background.colour)
+    y, cr, cb = cv2.split(difference)
+    total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
+    weak = cv2.compare(total, background.weak if settings.reach_px else background.threshold, cv2.CMP_GT)
+    if settings.shadows:
+        _remove_shadows(weak, colour, background.colour, settings)
+    mask = cv2.bitwise_and(cv2.compare(total, background.threshold, cv2.CMP_GT), weak)
+    return _enlarged(_grown(mask, weak, settings.reach_px), background.size)
+
+
+def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
+    """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
+    square = np.ones((3, 3), np.uint8)
+    for _ in range(reach):
+        sure = cv2.bitwise_or(cv2.bitwise_and(cv2.dilate(sure, square), weak), sure)
+    return sure
+
+
+class AdaptiveBackground:
+    """OpenCV's MOG2 or KNN: for rooms without a recording of their own, where people keep moving."""
+
+    def __init__(self, settings: BackgroundSettings):
+        shadows = settings.shadows
+        if settings.method == "knn":
+            self._model = cv2.createBackgroundSubtractorKNN(history=settings.history, detectShadows=shadows)
+        else:
+            self._model = cv2.createBackgroundSubtractorMOG2(history=settings.history, detectShadows=shadows)
+        self._model.setShadowThreshold(settings.shadow_darkest)
+        self._width_px = settings.width_px
+
+    def foreground(self, image: Image) -> UInt8[np.ndarray, "H W"]:
+        """As `foreground`; the image also becomes a part of the background."""
+        mask = self._model.apply(shrunk(image, shrink_of(image.shape[1], self._width_px)))
+        mask = cv2.threshold(mask, 200, 255, cv2.THRESH_BINARY)[1]  # 127 is a shadow
+        return _enlarged(mask, (image.shape[1], image.shape[0]))
+
+
+def silhouettes(mask: Mask, settings: SilhouetteSettings) -> list[Silhouette]:
+    """Thickened, closed and connected: the people in a mask of foreground, the largest first."""
+    size = (mask.shape[1], mask.shape[0])
+    bits = np.ascontiguousarray(mask).view(np.uint8)
+    shrink = shrink_of(size[0], settings.width_px)
+    if shrink > 1:
+        shape = (-(-size[0] // shrink), -(-size[1] // shrink))
+        bits = cv2.resize(bits, shape, interpolation=cv2.INTER_NEAREST)
+    bits = cv2.threshold(bits, 0, 255, cv2.THRESH_BINARY)[1]
+    margin = settings.thicken + settings.close_px
+    x, y, width, height = cv2.boundingRect(bits)
+    part = np.s_[max(y - margin, 0) : y + height + margin, max(x - margin, 0) : x + width + margin]
+    bits[part] = _mended(bits[part], settings)
+    labels, regions = label_regions(bits, min_area=max(1, int(settings.min_fraction * bits.size)))
+    return [_silhouette(labels, region, shrink, size) for region in regions[: settings.people]]
+
+
+def _mended(bits: UInt8[np.ndarray, "h w"], settings: SilhouetteSettings) -> UInt8[np.ndarray, "h w"]:
+    for _ in range(settings.thicken):
+        bits = thickened(bits)
+    return closed(bits, settings.close_px) if settings.close_px else bits
+
+
+def thickened(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Every region grown by a pixel, except where two regions would touch (thesis 6.2.2, hit-or-miss)."""
+    grown = cv2.dilate(mask, np.ones((3, 3), np.uint8))
+    count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_16U)
+    if count <= 2:
+        return grown
+    near = np.ones((5, 5), np.uint8)
+    highest = cv2.dilate(labels, near)
+    lowest = cv2.erode(np.where(labels == 0, np.uint16(65535), labels), near)
+    return cv2.bitwise_and(grown, cv2.compare(highest, lowest, cv2.CMP_LE)) | mask
+
+
+def closed(mask: UInt8[np.ndarray, "h w"], side: int) -> UInt8[np.ndarray, "h w"]:
+    """Dilated, then eroded (thesis eq. 6.1 prints the symbol of opening); nothing comes in over the image's border."""
+    return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
+
+
+def _silhouette(labels: np.ndarray, region: Region, shrink: int, size: tuple[int, int]) -> Silhouette:
+    """At the image's full size; the outline is smoothed over the pixels that were joined."""
+    if shrink == 1:
+        return Silhouette(region.crop(labels), region.box, region, size)
+    x, y, width, height = (shrink * value for value in region.box)
+    width, height = min(width, size[0] - x), min(height, size[1] - y)
+    small = region.crop(labels).view(np.uint8) * np.uint8(255)
+    mask = cv2.resize(small, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_LINEAR)[:height, :width] > 127
+    shift = (shrink - 1) / 2
+    whole = replace(
+        region,
+        area=int(np.count_nonzero(mask)),
+        centroid=shrink * region.centroid + shift,
+        major=shrink * region.major,
+        minor=shrink * region.minor,
+        box=(x, y, width, height),
+    )
+    return Silhouette(mask, whole.box, whole, size)
+
+
+def _enlarged(mask: UInt8[np.ndarray, "h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
+    if mask.shape == size[::-1]:
+        return mask
+    shrink = round(size[0] / mask.shape[1])
+    x, y, width, height = cv2.boundingRect(mask)
+    whole = np.zeros(size[::-1], dtype=np.uint8)
+    if width:
+        part = mask[y : y + height, x : x + width]
+        part = cv2.resize(part, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_NEAREST)
+        target = whole[shrink * y : shrink * (y + height), shrink * x : shrink * (x + width)]
+        target[:] = part[: target.shape[0], : target.shape[1]]
+    return whole
+
+
+def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray, "h w 3"]) -> np.ndarray:
+    """The image times one gain a channel: the median ratio to the reference, of pixels that tell it."""
+    rows = np.s_[GAIN_GRID // 2 :: GAIN_GRID, GAIN_GRID // 2 :: GAIN_GRID]
+    wanted, seen = reference[rows].reshape(-1, 3).astype(np.float32), image[rows].reshape(-1, 3).astype(np.float32)
+    low, high = GAIN_RANGE
+    usable = ((wanted > low) & (wanted < high) & (seen > low) & (seen < high)).all(axis=1)
+    if np.count_nonzero(usable) < MIN_GAIN_PIXELS:
+        return image
+    gain = np.median(wanted[usable] / seen[usable], axis=0)
+    gain = np.clip(gain, 1 / MAX_GAIN, MAX_GAIN)
+    if np.abs(gain - 1).max() < 1e-3:
+        return image
+    return scaled(image, gain)
+
+
+def _remove_shadows(
+    mask: UInt8[np.ndarray, "h w"],
+    colour: UInt8[np.ndarray, "h w 3"],
+    room: UInt8[np.ndarray, "h w 3"],
+    settings: BackgroundSettings,
+) -> None:
+    """Clear what is darker than the room by a bounded factor, of its colour and of its texture. Changes `mask`.
+
+    The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
+    """
+    x, y, width, height = cv2.boundingRect(mask)
+    if not width:
+        return
+    part = np.s_[y : y + height, x : x + width]
+    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour[part]))
+    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room[part]))
+    factor = light / np.maximum(room_light, 1)
+    # A colour fades towards grey (128) as it darkens.
+    faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
+    shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
+    mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
+    variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
+    shadow &= variance <= settings.shadow_texture**2
+    mask[part][shadow] = 0
+
+
+def _tiles(mask: UInt8[np.ndarray, "H W"]) -> Bool[np.ndarray, "R C"]:
+    """Which squares of the image hold any foreground worth the name."""
+    size = (max(1, mask.shape[1] // TILE), max(1, mask.shape[0] // TILE))
+    return cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 255 * 0.05

@@ -1,0 +1,198 @@
+"""A session: synchronised videos of one room, with what is known of its cameras.
+
+session/
+  videos/cam_0.mp4 ...   or a folder of images each; the name is the camera's
+  timestamps.csv         which frame of which camera belongs to which moment (`jaxpoint.io.timestamps`); without it
+                         frames belong together by number, or by time where the videos' rates differ
+  calibration.json       the cameras; optional where only images are looked at
+  empty/cam_0.mp4 ...    the empty room, for background and motion threshold; optional
+  wave/cam_0.mp4 ...     a light waved in the dark, for `detect led`; optional
+  objects.csv            what can be pointed at; optional
+  truth/                 only where simulated
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.files import natural_key
+from jaxpoint.io.timestamps import Timestamps, read_timestamps
+from jaxpoint.io.video import IMAGE_SUFFIXES, FrameSource, open_frames
+
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mjpeg", ".mjpg"})
+RATE_TOLERANCE = 0.01  # relative difference of frame rates that still counts as one rate
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Session:
+    """F moments of C cameras."""
+
+    folder: Path
+    names: tuple[str, ...]
+    videos: tuple[Path, ...]  # one a camera
+    sizes: Int[np.ndarray, "C 2"]  # px, width and height
+    moments: Int[np.ndarray, " F"]  # number of each moment: the sync_index, or the frame number
+    times: Float[np.ndarray, " F"]  # s
+    frame_index: Int[np.ndarray, "F C"]  # position in the camera's own video; -1 where it has no frame
+    rig: CameraRig | None  # in the order of `names`, m
+    empty: tuple[Path | None, ...]  # recordings of the empty room
+    notes: tuple[str, ...]  # what a user should know of the recording, a sentence each
+
+
+def open_session(folder: Path, calibration: Path | None = None) -> Session:
+    """Look at a session's folder, or at a single folder of videos; nothing is decoded but the first frames.
+
+    Args:
+        folder: as above; or one that holds the videos themselves.
+        calibration: to use instead of the session's own.
+
+    Raises:
+        FileFormatError: no videos, or a file that cannot be read.
+        UsageError: a camera that the calibration does not know, or has with another image size.
+    """
+    if not folder.is_dir():
+        raise FileFormatError(f"There is no session folder '{folder}'; check the path.")
+    own = folder / "videos"
+    videos = recordings(own if own.is_dir() else folder)
+    if not videos:
+        raise FileFormatError(f"'{folder}' holds 0 videos; put one video or folder of images a camera in '{own}'.")
+    names = tuple(sorted(videos, key=natural_key))
+    sources = [open_frames(videos[name]) for name in names]
+    sizes = np.array([source.size for source in sources])
+    stamps = folder / "timestamps.csv"
+    moments, times, index, notes = (
+        _stamped(read_timestamps(stamps).select(names), sources, names)
+        if stamps.is_file()
+        else _matched(sources, names)
+    )
+    path = calibration or (folder / "calibration.json")
+    rig = _rig(path, names, sizes) if calibration is not None or path.is_file() else None
+    empty = recordings(folder / "empty")
+    return Session(
+        folder,
+        names,
+        tuple(videos[name] for name in names),
+        sizes,
+        moments,
+        times,
+        index,
+        rig,
+        tuple(empty.get(name) for name in names),
+        tuple(notes),
+    )
+
+
+def recordings(folder: Path) -> dict[str, Path]:
+    """The videos and folders of images in a folder, by the camera's name; none where there is no such folder."""
+    if not folder.is_dir():
+        return {}
+    found = {}
+    for path in folder.iterdir():
+        if path.is_dir() and any(file.suffix.lower() in IMAGE_SUFFIXES for file in path.iterdir()):
+            found[path.name] = path
+        elif path.suffix.lower() in VIDEO_SUFFIXES:
+            found[path.stem] = path
+    return found
+
+
+def _rig(path: Path, names: tuple[str, ...], sizes: np.ndarray) -> CameraRig:
+    saved = read_calibration(path)
+    if saved.unit != "m":
+        raise UsageError(
+            f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
+        )
+    missing = [name for name in names if name not in saved.rig.names]
+    if missing:
+        raise UsageError(
+            f"'{path}' has no camera '{missing[0]}', it has {', '.join(saved.rig.names)}; name videos like cameras."
+        )
+    rig = saved.rig.select([saved.rig.names.index(name) for name in names])
+    for name, known, given in zip(names, np.asarray(rig.image_sizes).tolist(), sizes.tolist()):
+        if known != given:
+            raise UsageError(
+                f"The video of camera '{name}' is {given[0]} x {given[1]} px, but '{path}' knows it with "
+                f"{known[0]} x {known[1]}; use the calibration of this recording."
+            )
+    return rig
+
+
+def _stamped(stamps: Timestamps, sources: list[FrameSource], names: tuple[str, ...]):
+    """Moments as the timestamps have them; frames beyond the end of a video are absent."""
+    index = stamps.frame_index.copy()
+    notes = []
+    for camera, source in enumerate(sources):
+        beyond = index[:, camera] >= len(source)
+        if beyond.any():
+            notes.append(
+                f"Camera '{names[camera]}' stops early, with no frame at {beyond.sum()} of {len(index)} moments."
+            )
+            index[beyond, camera] = -1
+        dropped = int((stamps.frame_index[:, camera] < 0).sum())
+        if dropped:
+            notes.append(f"Camera '{names[camera]}' has no frame in {dropped} of {len(index)} moments.")
+    return stamps.sync_indices, stamps.times, index, notes + _drifts(stamps, names)
+
+
+def _drifts(stamps: Timestamps, names: tuple[str, ...]) -> list[str]:
+    """Cameras whose clock leaves the others' by more than half a frame over the recording."""
+    times = np.where(stamps.present, stamps.frame_time, np.nan)
+    common = np.nanmedian(times, axis=1)
+    period = float(np.median(np.diff(common))) if len(common) > 1 else 0.0
+    notes = []
+    for camera, name in enumerate(names):
+        off = times[:, camera] - common
+        held = np.isfinite(off)
+        if held.sum() < 10:
+            continue
+        rate = np.polyfit(common[held], off[held], 1)[0]
+        drift = rate * (common[-1] - common[0])
+        if abs(drift) > period / 2:
+            notes.append(f"The clock of camera '{name}' drifts by {1e3 * drift:+.0f} ms over the recording.")
+    return notes
+
+
+def _matched(sources: list[FrameSource], names: tuple[str, ...]):
+    """Frames that belong together by their number, or by their time where the rates differ."""
+    notes = []
+    counts = [len(source) for source in sources]
+    periods = [_period(source) for source in sources]
+    known = [period for period in periods if period]
+    unlike = len(known) == len(sources) and max(known) > (1 + RATE_TOLERANCE) * min(known)
+    if unlike:
+        slowest = int(np.argmax(periods))
+        rates = ", ".join(f"{name} {1 / period:.4g}" for name, period in zip(names, known))
+        notes.append(
+            f"The videos have unlike frame rates ({rates} a second); moments are those of '{names[slowest]}', by time."
+        )
+        times = np.arange(counts[slowest]) * known[slowest]
+        index = np.stack([np.round(times / period).astype(int) for period in known], axis=1)
+        index[index >= np.array(counts)] = -1
+        return np.arange(len(times)), times, index, notes
+    ids = np.unique(np.concatenate([source.frame_ids for source in sources]))
+    index = np.full((len(ids), len(sources)), -1)
+    for camera, source in enumerate(sources):
+        index[np.searchsorted(ids, source.frame_ids), camera] = np.arange(len(source))
+    if min(counts) < max(counts):
+        short = int(np.argmin(counts))
+        notes.append(
+            f"The videos have unlike lengths: '{names[short]}' has {counts[short]} frames, others up to {max(counts)}; "
+            "frames belong together by number, so check that all started at once."
+        )
+    period = known[0] if known else 1.0
+    return ids, (ids - ids[0]) * period, index, notes
+
+
+def _period(source: FrameSource) -> float:
+    """Seconds from frame to frame; 0 where the source does not know."""
+    if source.times is None or len(source.times) < 2:
+        return 0.0
+    return float(source.times[1] - source.times[0])

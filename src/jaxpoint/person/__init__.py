@@ -1,0 +1,1 @@
+"""Follows people through a session: heads and arms over all views."""

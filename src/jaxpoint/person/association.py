@@ -1,0 +1,213 @@
+"""Which long ends of several views are one arm, and which arm points.
+
+A limb's plane and its tip in two views make a hypothesis; the other views confirm it or not. What a single view cannot
+tell, such as which end of a bare arm is the hand, or a leg from an arm, the room can: an elbow must hang on a shoulder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.detect.arm import SLICE_M, SLICES
+
+TIP_GAP_M = 0.07  # between the tips of two views
+PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
+AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
+AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
+ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
+SHOULDER_BELOW_M = 0.28  # under the centre of the head
+ELBOW_REACH_M = (0.10, 0.68)  # from the middle between the shoulders to the elbow
+TIP_REACH_M = 1.25  # from the head
+_FOREARM = slice(round(0.17 / SLICE_M), round(0.40 / SLICE_M))
+
+
+@dataclass(frozen=True)
+class LimbRays:
+    """N long ends of all views of one moment, as rays of the world."""
+
+    camera: Int[np.ndarray, " N"]
+    origin: Float[np.ndarray, "N 3"]  # m
+    tip: Float[np.ndarray, "N 3"]  # unit
+    slices: Float[np.ndarray, "N S 3"]  # unit
+    held: Bool[np.ndarray, "N S"]
+    weight: Float[np.ndarray, " N"]  # how much a view's word counts: 1 for skin, less for an outline
+
+    def __len__(self) -> int:
+        """Number of long ends, N."""
+        return len(self.camera)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One limb of one moment, seen in several views."""
+
+    members: tuple[int, ...]  # places in LimbRays, one a view
+    tip: Float[np.ndarray, "3"]  # m
+    direction: Float[np.ndarray, "3"]  # unit, towards the tip
+    support: float  # summed weight of the views
+    spread: float  # m, rms distance of the tips' rays from the tip
+    alternatives: tuple[Float[np.ndarray, "3"], ...] = ()  # directions of two members each, widest planes first
+
+    @property
+    def elbow(self) -> Float[np.ndarray, "3"]:
+        """Where the elbow of a mean adult would be, m."""
+        return self.tip - ELBOW_M * self.direction
+
+
+def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 4) -> list[Arm]:
+    """The limbs that at least two views agree on, best supported first; a long end belongs to one only.
+
+    Args:
+        limbs: of one person at one moment.
+        head: centre of the person's head, m; without it nothing is known of shoulders.
+        most: limbs at most.
+    """
+    if len(limbs) < 2:
+        return []
+    normal, inward = _planes(limbs)
+    pairs, tips, directions = _hypotheses(limbs, normal, inward)
+    possible = _possible(tips, directions, head)
+    pairs, tips, directions = pairs[possible], tips[possible], directions[possible]
+    if not len(pairs):
+        return []
+    fit = _agreement(limbs, normal, inward, tips, directions)
+    free = np.ones(len(limbs), bool)
+    arms: list[Arm] = []
+    while len(arms) < most:
+        best, members = _best(limbs, pairs, fit, free)
+        if best is None:
+            break
+        arm = _arm(limbs, normal, members, directions[best], fit[best])
+        free[list(members)] = False
+        arms.append(arm)
+    return arms
+
+
+def stretch(arm: Arm, head: Float[np.ndarray, "3"]) -> float:
+    """How far the tip is from the body's upright axis, m; a hand above the shoulder counts as far."""
+    shoulder = head - [0.0, 0.0, SHOULDER_BELOW_M]
+    off = arm.tip - shoulder
+    return float(np.hypot(off[0], off[1]) + max(0.0, off[2]))
+
+
+def _planes(limbs: LimbRays) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
+    """Normal of the plane through camera and axis, and the unit direction across the rays from base to tip."""
+    window = np.zeros(SLICES, bool)
+    window[_FOREARM] = True
+    inside = limbs.held & window
+    use = np.where((inside.sum(axis=1) >= 4)[:, None], inside, limbs.held)
+    rank = np.cumsum(use, axis=1)
+    half = (use.sum(axis=1) / 2)[:, None]
+    front, back = use & (rank <= half), use & (rank > half)
+    near = _mean(limbs.slices, front)
+    far = _mean(limbs.slices, back)
+    normal = _unit(np.cross(far, near))
+    return normal, _unit(near - far)
+
+
+def _mean(rays: Float[np.ndarray, "N S 3"], use: Bool[np.ndarray, "N S"]) -> Float[np.ndarray, "N 3"]:
+    return _unit(np.einsum("ns,nsi->ni", use.astype(float), rays))
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
+
+
+def _hypotheses(limbs, normal, inward):
+    """Tip and direction of every pair of long ends in different views that agree."""
+    i, j = np.triu_indices(len(limbs), 1)
+    apart = limbs.camera[i] != limbs.camera[j]
+    i, j = i[apart], j[apart]
+    axis = np.cross(normal[i], normal[j])
+    sine = np.linalg.norm(axis, axis=1)
+    axis = axis / np.maximum(sine, 1e-12)[:, None]
+    sign_i = np.sign(np.einsum("ni,ni->n", axis, inward[i]))
+    sign_j = np.sign(np.einsum("ni,ni->n", axis, inward[j]))
+    tip, gap, ahead = _meet(limbs.origin[i], limbs.tip[i], limbs.origin[j], limbs.tip[j])
+    good = (sine > np.sin(PLANE_ANGLE)) & (sign_i == sign_j) & (gap < TIP_GAP_M) & ahead
+    return np.stack([i, j], axis=1)[good], tip[good], (axis * sign_i[:, None])[good]
+
+
+def _meet(a, u, b, v):
+    """Middle of the shortest link of two rays, its length, and whether it lies ahead of both."""
+    gap = b - a
+    cosine = np.einsum("ni,ni->n", u, v)
+    sine2 = np.maximum(1 - cosine**2, 1e-9)
+    on_u, on_v = np.einsum("ni,ni->n", gap, u), np.einsum("ni,ni->n", gap, v)
+    s = (on_u - cosine * on_v) / sine2
+    t = (cosine * on_u - on_v) / sine2
+    p, q = a + s[:, None] * u, b + t[:, None] * v
+    return (p + q) / 2, np.linalg.norm(p - q, axis=1), (s > 0) & (t > 0)
+
+
+def _possible(tips, directions, head) -> Bool[np.ndarray, " H"]:
+    """Whether a person with this head can have this arm."""
+    if head is None:
+        return np.ones(len(tips), bool)
+    shoulder = head - np.array([0.0, 0.0, SHOULDER_BELOW_M])
+    elbow = np.linalg.norm(tips - ELBOW_M * directions - shoulder, axis=1)
+    near = np.linalg.norm(tips - head, axis=1) < TIP_REACH_M
+    return near & (elbow > ELBOW_REACH_M[0]) & (elbow < ELBOW_REACH_M[1])
+
+
+def _agreement(limbs, normal, inward, tips, directions) -> Float[np.ndarray, "H N"]:
+    """Between 0 and 1: how well each long end fits each hypothesis."""
+    gap = limbs.origin[None] - tips[:, None]
+    along = np.einsum("hni,ni->hn", gap, limbs.tip)
+    off = np.linalg.norm(gap - along[..., None] * limbs.tip[None], axis=2)
+    miss = np.abs(directions @ normal.T)
+    same = directions @ inward.T > 0
+    near = np.clip(1 - off / TIP_GAP_M, 0, 1)
+    flat = np.clip(1 - miss / np.sin(AXIS_ANGLE), 0, 1)
+    return np.where(same & (along < 0), np.sqrt(near * flat), 0.0) * limbs.weight
+
+
+def _best(limbs, pairs, fit, free) -> tuple[int | None, tuple[int, ...]]:
+    """The hypothesis with the most support by free long ends, one a view."""
+    usable = free[pairs].all(axis=1)
+    if not usable.any():
+        return None, ()
+    fit = np.where(free[None], fit, 0.0)
+    cameras = np.unique(limbs.camera)
+    in_view = np.stack([np.where(limbs.camera == c, fit, 0.0).max(axis=1) for c in cameras], axis=1)
+    support = np.where(usable, in_view.sum(axis=1), -1.0)
+    best = int(support.argmax())
+    members = []
+    for camera in cameras:
+        of_view = np.where(limbs.camera == camera, fit[best], 0.0)
+        if of_view.max() > 0:
+            members.append(int(of_view.argmax()))
+    if len(members) < 2 or support[best] <= 0:
+        return None, ()
+    return best, tuple(members)
+
+
+def _arm(limbs, normal, members, direction, fit) -> Arm:
+    """The limb of the members: its tip nearest to their rays, its axis nearest to their planes."""
+    index = np.array(members)
+    weight = fit[index]
+    rays = limbs.tip[index]
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    matrix = np.einsum("n,nij->ij", weight, across)
+    tip = np.linalg.solve(matrix + 1e-9 * np.eye(3), np.einsum("n,nij,nj->i", weight, across, limbs.origin[index]))
+    axis = direction
+    for _ in range(6):  # planes that miss the axis lose their say
+        trusted = weight / (1 + (normal[index] @ axis / np.sin(AXIS_SCALE)) ** 2)
+        _, vectors = np.linalg.eigh(np.einsum("n,ni,nj->ij", trusted, normal[index], normal[index]))
+        axis = vectors[:, 0] if vectors[:, 0] @ direction > 0 else -vectors[:, 0]
+    off = np.einsum("nij,nj->ni", across, tip - limbs.origin[index])
+    spread = float(np.sqrt((off**2).sum(axis=1).mean()))
+    return Arm(members, tip, axis, float(weight.sum()), spread, _of_pairs(normal[index], direction))
+
+
+def _of_pairs(normal: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, ...]:
+    """Where the planes of each two views meet, the pair nearest to a right angle first."""
+    i, j = np.triu_indices(len(normal), 1)
+    axis = np.cross(normal[i], normal[j])
+    sine = np.linalg.norm(axis, axis=1)
+    axis = axis / np.maximum(sine, 1e-12)[:, None]
+    axis = axis * np.where(axis @ direction < 0, -1.0, 1.0)[:, None]
+    return tuple(axis[k] for k in np.argsort(-sine) if sine[k] > np.sin(PLANE_ANGLE))

@@ -1,0 +1,107 @@
+"""People through a recording: heads from all views to tracks, and each person's arm at each moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config.track import TrackSettings
+from jaxpoint.detect.arm import Crop
+from jaxpoint.person.arms import PointingArm, find_arm
+from jaxpoint.person.views import CameraViews, head_found
+from jaxpoint.tracking.result import Tracking
+from jaxpoint.tracking.tracker import track_heads
+
+INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
+
+
+@dataclass(frozen=True)
+class Following:
+    """N people over F moments by C cameras."""
+
+    tracking: Tracking
+    sightings: Int[np.ndarray, "F N C"]  # which sighting of each camera is the person; -1 where none
+    arms: dict[tuple[int, int], PointingArm | None]  # by moment and person, where the person is in the room
+
+
+def follow(
+    rig: CameraRig,
+    views: Sequence[CameraViews],
+    times: Float[np.ndarray, " F"],
+    settings: TrackSettings | None = None,
+    *,
+    frame_ids: Int[np.ndarray, " F"] | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Following:
+    """Follow everybody and find their arms.
+
+    Args:
+        rig: the cameras, C of them, m.
+        views: what each camera saw of the same F moments.
+        times: s.
+        settings: of the head track.
+        frame_ids: numbers of the moments.
+        progress: called with what is done, how much of it, and how much there is.
+
+    Raises:
+        InsufficientDataError: fewer than two cameras.
+    """
+    pixels, valid, index = _heads(views, len(times))
+
+    def tell(share: float) -> None:
+        if progress:
+            progress("heads", round(share * len(times)), len(times))
+
+    tracking = track_heads(rig, pixels, valid, times, settings or TrackSettings(), frame_ids=frame_ids, progress=tell)
+    heads = tracking.heads
+    sightings = np.full(tracking.candidates.shape, -1)
+    arms: dict[tuple[int, int], PointingArm | None] = {}
+    projected = np.asarray(rig.project(heads.positions))
+    depth = np.asarray(rig.depth(heads.positions))
+    for moment in range(len(times)):
+        for person in np.flatnonzero(heads.present[moment]):
+            place = projected[moment, person]
+            chosen = [
+                _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
+                if depth[moment, person, c] > 0
+                else -1
+                for c in range(len(views))
+            ]
+            sightings[moment, person] = chosen
+            crops: list[Crop | None] = [None if s < 0 else views[c].crop(s) for c, s in enumerate(chosen)]
+            head = heads.positions[moment, person]
+            arms[moment, int(person)] = find_arm(rig, crops, head, place)
+        if progress:
+            progress("arms", moment + 1, len(times))
+    return Following(tracking, sightings, arms)
+
+
+def _heads(views: Sequence[CameraViews], moments: int):
+    """Candidates of heads as arrays (F, C, K): pixels, which there are, and whose sighting each is."""
+    most = max((int(np.bincount(view.moment).max(initial=1)) for view in views if len(view.moment)), default=1)
+    pixels = np.zeros((moments, len(views), most, 2))
+    valid = np.zeros((moments, len(views), most), bool)
+    index = np.full((moments, len(views), most), -1)
+    for camera, view in enumerate(views):
+        found = head_found(view)
+        place = np.arange(len(view.moment)) - np.searchsorted(view.moment, view.moment)
+        pixels[view.moment, camera, place] = view.head
+        valid[view.moment, camera, place] = found
+        index[view.moment, camera, place] = np.arange(len(view.moment))
+    return pixels, valid, index
+
+
+def _sighting(view: CameraViews, moment: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
+    """The sighting whose head was used; else the one whose box holds the head, the largest first."""
+    if used >= 0:
+        return int(index[used])
+    for sighting in view.of(moment):
+        x, y, width, height = view.box[sighting]
+        margin = INSIDE * height
+        if x - margin <= head[0] <= x + width + margin and y - margin <= head[1] <= y + height:
+            return sighting
+    return -1

@@ -1,0 +1,228 @@
+"""All cameras of a session, side by side; what was once looked at is kept by its content and is not decoded again."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxpoint.config import to_toml
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.detect.colour import Image
+from jaxpoint.detect.motion import learn_threshold, motion_between
+from jaxpoint.detect.person import PersonWatch
+from jaxpoint.detect.silhouette import RoomBackground, learn_background, never_clears
+from jaxpoint.detect.workers import Advance, run_cameras
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.session import Session
+from jaxpoint.io.video import FrameSource, open_frames
+from jaxpoint.person.views import FORMAT, CameraViews, load_views, save_views, watch
+
+NEVER_CLEARS = 0.004  # part of the image: as large as two people's smallest silhouettes
+FOCAL_OF_WIDTH = 0.9  # focal length over image width where there is no calibration
+QUIET = 0.5  # part of a recording's pairs that is taken for the empty room where there is no other
+
+Progress = Callable[[str, int, int], None]
+"""Called with a camera's name, frames done, frames to do."""
+
+
+@dataclass(frozen=True)
+class CameraJob:
+    """What a process needs to look through one camera."""
+
+    name: str
+    video: Path
+    empty: Path | None
+    frame_index: Int[np.ndarray, " F"]  # -1 where the camera has no frame
+    focal_px: float
+    settings: PersonSettings
+    kept: Path | None  # file of what was found, read where it exists and written where not
+
+
+def watch_session(
+    session: Session,
+    settings: PersonSettings,
+    *,
+    cache: Path | None = None,
+    workers: int = 0,
+    progress: Progress | None = None,
+) -> tuple[CameraViews, ...]:
+    """What every camera saw of people. Deterministic, whatever the number of processes.
+
+    Processes are spawned, so a script must call this under `if __name__ == "__main__":` (or with `workers=1`).
+
+    Args:
+        session: the videos.
+        settings: of the detectors.
+        cache: folder of what earlier calls found; None keeps nothing.
+        workers: processes at most; 0 for one a core.
+        progress: called in this process.
+
+    Raises:
+        FileFormatError: a video that cannot be decoded at all.
+        InsufficientDataError: too few frames to learn a background from.
+    """
+    jobs = [_job(session, camera, settings, cache) for camera in range(len(session.names))]
+    finished: dict[int, CameraViews] = {}
+
+    def report(camera: int, done: int, total: int) -> None:
+        if progress:
+            progress(session.names[camera], done, total)
+
+    run_cameras(watch_camera, jobs, workers, finished, report)
+    return tuple(finished[camera] for camera in range(len(jobs)))
+
+
+def default_cache() -> Path:
+    """Where the command line keeps detections: the user's cache folder."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxpoint" / "detections"
+
+
+def watch_camera(job: CameraJob, advance: Advance) -> CameraViews:
+    """Learn one camera's room, then look through its frames.
+
+    Raises:
+        FileFormatError: no frame of the video can be decoded.
+        InsufficientDataError: too few frames to learn a background from.
+    """
+    if job.kept is not None and job.kept.is_file():
+        try:
+            views = load_views(job.kept)
+        except FileFormatError:  # of another version, or cut off: looked at anew and replaced
+            job.kept.unlink(missing_ok=True)
+        else:
+            advance(len(job.frame_index), len(job.frame_index))
+            return views
+    source = open_frames(job.video)
+    background, threshold, notes = learn_room(job, source)
+    watcher = PersonWatch(background, threshold, job.focal_px, job.settings)
+    frames = _Frames(job, source)
+    views = watch(frames.read(), len(job.frame_index), source.size, watcher, advance, notes)
+    views = replace(views, notes=(*notes, *frames.notes))
+    if job.kept is not None:
+        job.kept.parent.mkdir(parents=True, exist_ok=True)
+        save_views(job.kept, views)
+    return views
+
+
+def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | None, float, list[str]]:
+    """Background and motion threshold, from the empty room's recording where there is one; and what to tell of it."""
+    settings, notes = job.settings, []
+    empty = source if job.empty is None else open_frames(job.empty)
+    adaptive = settings.background.method != "static"
+    images = _spread(empty, settings.background.max_frames)
+    if job.empty is None and not adaptive and len(images) >= settings.background.min_frames:
+        covered = never_clears(images, settings.background)
+        if covered > NEVER_CLEARS:
+            notes.append(
+                f"Camera '{job.name}': {covered:.1%} of the image never clears; somebody who does not leave would be "
+                "taken for the room, so an adaptive background (MOG2) is used. Record the empty room to do better."
+            )
+            adaptive = True
+            settings = replace(settings, background=replace(settings.background, method="mog2"))
+    background = None if adaptive else learn_background(images, settings.background)
+    counts = _edge_counts(empty, settings)
+    if job.empty is None:
+        counts = np.sort(counts)[: max(1, int(QUIET * len(counts)))]
+    if len(counts) < settings.motion.min_pairs:
+        notes.append(
+            f"Camera '{job.name}': {len(counts)} pairs of quiet images are too few to learn a threshold of motion "
+            f"from; it is {settings.motion.floor_px} edge pixels."
+        )
+        return background, float(settings.motion.floor_px), notes
+    return background, learn_threshold(counts, settings.motion), notes
+
+
+class _Frames:
+    """The frames of one camera by moment; a video that ends early leaves moments without one, and a note."""
+
+    def __init__(self, job: CameraJob, source: FrameSource):
+        self._job, self._source = job, source
+        self.notes: list[str] = []
+
+    def read(self) -> Iterator[tuple[int, Image | None]]:
+        """Moment and image."""
+        moments = np.flatnonzero(self._job.frame_index >= 0)
+        index = self._job.frame_index[moments]
+        order = np.argsort(index, kind="stable")
+        moment_of = dict(zip(index[order].tolist(), moments[order].tolist()))
+        last = -1
+        try:
+            for frame, image in self._source.stream(np.unique(index)):
+                last = moment_of[frame]
+                yield last, image
+        except FileFormatError as error:
+            if last < 0:
+                raise
+            lost = int((moments > last).sum())
+            self.notes.append(f"Camera '{self._job.name}' stops at moment {last}, {lost} before the end: {error}")
+
+
+def _edge_counts(source: FrameSource, settings: PersonSettings) -> Int[np.ndarray, " P"]:
+    """Moving edge pixels between successive images: of at most 100 pairs spread over a recording."""
+    pairs = min(len(source) - 1, 2 * settings.motion.min_pairs)
+    if pairs < 1:
+        return np.zeros(0, int)
+    first = np.unique(np.linspace(0, len(source) - 2, pairs).astype(int))
+    wanted = np.unique(np.concatenate([first, first + 1]))
+    counts, previous = [], (-2, None)
+    for index, image in _until_end(source, wanted):
+        if previous[0] == index - 1 and previous[1] is not None:
+            counts.append(motion_between(previous[1], image, settings.motion).edges)
+        previous = index, image
+    return np.array(counts, int)
+
+
+def _spread(source: FrameSource, count: int) -> list[Image]:
+    wanted = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int))
+    return [image for _, image in _until_end(source, wanted)]
+
+
+def _until_end(source: FrameSource, wanted: np.ndarray) -> Iterator[tuple[int, Image]]:
+    """The frames that can be decoded; a video that ends early was, or will be, spoken of elsewhere."""
+    started = False
+    try:
+        for index, image in source.stream(wanted):
+            started = True
+            yield index, image
+    except FileFormatError:
+        if not started:
+            raise
+
+
+def _job(session: Session, camera: int, settings: PersonSettings, cache: Path | None) -> CameraJob:
+    width = float(session.sizes[camera, 0])
+    focal = FOCAL_OF_WIDTH * width if session.rig is None else float(np.mean(session.rig.cameras.focal[camera]))
+    job = CameraJob(
+        session.names[camera],
+        session.videos[camera],
+        session.empty[camera],
+        session.frame_index[:, camera],
+        focal,
+        settings,
+        None,
+    )
+    return job if cache is None else replace(job, kept=cache / f"{_key(job)}.npz")
+
+
+def _key(job: CameraJob) -> str:
+    """What the result depends on: content, frames taken, focal length, settings, and the detectors' version."""
+    digest = hashlib.sha256(f"{FORMAT} {job.focal_px!r}\n{to_toml(job.settings)}".encode())
+    digest.update(np.ascontiguousarray(job.frame_index).tobytes())
+    for path in (job.video, job.empty):
+        digest.update(b"-" if path is None else _content(path))
+    return digest.hexdigest()[:32]
+
+
+def _content(path: Path) -> bytes:
+    files = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            digest.update(file.name.encode() + hashlib.file_digest(stream, "sha256").digest())
+    return digest.digest()

@@ -1,0 +1,1 @@
+"""From an arm in several views to its line in the room."""
