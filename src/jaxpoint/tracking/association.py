@@ -2,9 +2,9 @@
 
 Every pair of rays and every track's prediction is a hypothesis. It gathers the nearest ray of every view within the
 gate, is fitted to these (and to the prediction, where it belongs to a track), and gathers anew. Its score is what it
-explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two people
-are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is believed only
-where it continues a track, or where neither view has another explanation.
+explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two
+people are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is
+believed only where it continues a track, or where neither view has another explanation.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 While two people are beside one another most views take them for one, and a track may lose its head to the other's. A
 recording knows both ends: each encounter is gone through twice, once as if everybody went on as the tracks say and once
 as if they had changed places. Each time the two ways are first bridged by the smoother, then the candidates in between
-are given to them anew, three times. The hypothesis under which the rays are more likely is the truth.
+are given to them anew, the surest first. The hypothesis under which the rays are more likely is the truth.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxpoint.tracking.rays import Rays
 from jaxpoint.tracking.result import Status, Tracking, status_of
 from jaxpoint.tracking.smoothing import Way, run_ways
 
-_ROUNDS = 3  # of bridging and giving the candidates anew
+_LEAST_VIEWS = (3, 2, 1)  # that a head needs, in each round of bridging and giving the candidates anew
 _CONTEXT = 16  # frames before and after an encounter that tell how people came and went
 _LONGEST = 90  # frames; two people who stand together for longer are left as they are
 _CALM = 2  # frames in a row in which both are seen well end an encounter
@@ -146,8 +146,8 @@ def _settle(tracking: Tracking, seen: Seen, meeting: Encounter, settings: TrackS
         return
     rays = [_free(tracking, seen.rays[frame], frame, meeting) for frame in range(meeting.first, meeting.last + 1)]
     for trial in trials:
-        for _ in range(_ROUNDS):
-            trial.give_anew(seen, rays, settings)
+        for least in _LEAST_VIEWS:
+            trial.give_anew(seen, rays, least, settings)
     max(trials, key=lambda trial: trial.evidence(rays, settings)).write(tracking)
 
 
@@ -186,8 +186,11 @@ class Trial:
             settings,
         )
 
-    def give_anew(self, seen: Seen, rays: Sequence[Rays], settings: TrackSettings) -> None:
-        """Measure the encounter's frames once more, by the candidates near where the two ways lead."""
+    def give_anew(self, seen: Seen, rays: Sequence[Rays], least: int, settings: TrackSettings) -> None:
+        """Measure the encounter's frames once more, by the candidates near where the two ways lead.
+
+        Only heads of so many views count: the surest first, as long as the ways are hardly known.
+        """
         expected = [self._without_own(k, way[1]) for k, way in enumerate(self.ways(settings))]
         points, squares = (np.stack(part, axis=1) for part in zip(*expected))  # (W, 2, 3), (W, 2, 3, 3)
         candidates = np.full((len(rays), 2, len(seen.rig)), -1)
@@ -195,6 +198,7 @@ class Trial:
             found = associate(free, len(seen.rig), Predictions(points[row], squares[row]), settings, seen.bounds)
             known = found.tracks >= 0
             candidates[row, found.tracks[known]] = found.candidates[known]
+        candidates[(candidates >= 0).sum(axis=-1) < least] = -1
         measured = _measured(seen, self.frames[self.inside], candidates, points, squares, settings)
         candidates[~measured[2]] = -1
         self.candidates[self.inside] = candidates

@@ -56,7 +56,7 @@ class FrameHeads:
 
 @dataclass(frozen=True)
 class HeadTracks:
-    """The heads of N people over F frames, by C cameras; zeros where `status` is ABSENT. `heads.csv` holds just this."""
+    """The heads of N people over F frames by C cameras; zeros where `status` is ABSENT. `heads.csv` holds this."""
 
     frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording (sync_index)
     times: Float[np.ndarray, " F"]  # s

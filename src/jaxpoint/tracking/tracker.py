@@ -41,7 +41,7 @@ def step(
     pixels: Float[np.ndarray, "C K 2"],
     valid: Bool[np.ndarray, "C K"],
     time: float,
-    settings: TrackSettings = TrackSettings(),
+    settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "C K"] | None = None,
     room: Float[np.ndarray, "2 3"] | None = None,
@@ -52,10 +52,12 @@ def step(
         ValueError: shapes do not fit, or `time` is not after the frame before.
         InsufficientDataError: fewer than two cameras.
     """
+    settings = settings or TrackSettings()
     sigma = np.full(valid.shape, settings.sigma_px) if sigma_px is None else sigma_px
     if state.time is not None and time <= state.time:
         raise ValueError(f"A frame at {time:g} s comes after one at {state.time:g} s; give them in order, each once.")
     _check(rig, pixels[None], valid[None], sigma[None], np.array([time]), 1)
+    pixels, sigma = np.where(valid[..., None], pixels, 0.0), np.where(valid, sigma, 1.0)
     with jax.enable_x64(True):
         rays = rays_of_frames(rig, pixels[None], valid[None], sigma[None])[0]
         return _step(state, rig, rays, (pixels, sigma), float(time), settings, _bounds(settings, room))
@@ -66,7 +68,7 @@ def track_heads(
     pixels: Float[np.ndarray, "F C K 2"],
     valid: Bool[np.ndarray, "F C K"],
     times: Float[np.ndarray, " F"],
-    settings: TrackSettings = TrackSettings(),
+    settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "F C K"] | None = None,
     frame_ids: Int[np.ndarray, " F"] | None = None,
@@ -90,8 +92,10 @@ def track_heads(
         ValueError: shapes do not fit, or the times do not rise.
         InsufficientDataError: fewer than two cameras.
     """
+    settings = settings or TrackSettings()
     sigma = np.full(valid.shape, settings.sigma_px) if sigma_px is None else sigma_px
     _check(rig, pixels, valid, sigma, times, len(pixels))
+    pixels, sigma = np.where(valid[..., None], pixels, 0.0), np.where(valid, sigma, 1.0)
     state, frames = TrackerState(), []
     with jax.enable_x64(True):
         bounds = _bounds(settings, room)
