@@ -148,6 +148,7 @@ class Person:
         bar((x - self.side * 0.1 * h, y + 0.15 * h), (x - self.side * 0.13 * h, y + 0.45 * h), 0.06 * h, self.shirt)
         if self.arm is not None:
             shoulder = self.elbow - 0.16 * h * self._arm_direction
+            bar((x, y + 0.16 * h), shoulder, 0.065 * h, self.shirt)
             bar(shoulder, self.elbow, 0.065 * h, self.shirt)
             bar(self.elbow, self.tip, 0.042 * h, self.skin)
         ellipse(x, y, self.aspect * half, half, self.skin)

@@ -10,7 +10,7 @@ from jaxpoint.detect.silhouette import silhouettes
 
 FOCAL = 500.0  # px; a head of 0.24 m at 1 to 6 m is 20 to 120 px high
 SETTINGS, THESIS = HeadSettings(), thesis_person().head
-EXACT = SilhouetteSettings(shrink=1, close_px=1)
+EXACT = SilhouetteSettings(width_px=0, close_px=1)
 
 
 def found_in(mask, settings=SETTINGS, shapes=EXACT):
@@ -45,7 +45,7 @@ def test_the_middle_of_every_head(crowd, blank):
         mask = person.drawn(blank, mask_only=True)
         for name, settings, shapes in (
             ("outline", SETTINGS, EXACT),
-            ("half", SETTINGS, SilhouetteSettings()),
+            ("half", SETTINGS, SilhouetteSettings(width_px=320, close_px=0)),
             ("thesis", THESIS, EXACT),
         ):
             head = found_in(mask, settings, shapes)
@@ -56,7 +56,7 @@ def test_the_middle_of_every_head(crowd, blank):
     medians = {name: np.median(errors[name]) for name in errors}
     assert medians["outline"] < 0.02
     assert max(errors["outline"]) < 0.08
-    assert medians["half"] < 0.04
+    assert medians["half"] < 0.05
     assert medians["thesis"] > 1.2 * medians["outline"]
 
 
@@ -75,7 +75,7 @@ def test_one_reason_for_every_cause(drawn, blank):
     mask = np.zeros(drawn.size[::-1], np.uint8)
     mask[100:115, 100:300] = 255
     assert found_in(mask).reason == HeadReason.TOO_SMALL
-    mask[100:130] = 255
+    mask[100:123, 20:620] = 255
     assert found_in(mask).reason == HeadReason.NO_SIZE_FITS
     mask[100:300, 60:500] = 255
     assert found_in(mask).reason == HeadReason.UNLIKE

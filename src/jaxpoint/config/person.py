@@ -1,6 +1,6 @@
 """Settings of the detectors of a person: motion, silhouette, head, skin, marker, and the thesis's filters.
 
-Sizes in pixels hold at an image width of 1280 px unless the field says otherwise.
+Sizes are in pixels of the image as it is unless the field says otherwise.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from jaxpoint.config.types import Count, Fraction, Positive
 class MotionSettings:
     """When something moves before a camera (thesis 6.2.1)."""
 
-    shrink: Count = 4
-    """Images are compared at 1/shrink of their size; 1 is the thesis's."""
+    width_px: Count = 320
+    """Images are compared at the whole fraction of their size nearest to this width; 0, the thesis's, is all of it."""
     canny_low: Positive = 50.0
     """Lower threshold of the Canny detector on the difference of two images, grey levels."""
     canny_high: Positive = 100.0
     """Upper threshold of the Canny detector."""
     deviations: Positive = 5.0
     """The threshold lies this many standard deviations above the empty room's mean count of edge pixels."""
-    floor_px: Count = 50
-    """Fewest edge pixels of the full image that are motion, however quiet the room; 1/shrink of it when shrunk."""
+    floor_px: Count = 12
+    """Fewest edge pixels at that width that are motion, however quiet the room; 50 at the thesis's full size."""
     min_pairs: Count = 50
     """Fewest pairs of successive images from which the threshold is learnt."""
     frames_on: Count = 3
@@ -45,20 +45,26 @@ class BackgroundSettings:
 
     method: Literal["static", "mog2", "knn"] = "static"
     """`static`: per-pixel median and MAD over frames, or of an empty room; `mog2`, `knn`: OpenCV's adaptive ones."""
-    shrink: Count = 2
-    """Images are compared at 1/shrink of their size; 1 is the thesis's."""
+    width_px: Count = 640
+    """Images are compared at the whole fraction of their size nearest to this width; 0, the thesis's, is all of it."""
     threshold: Positive = 25.0
     """Least sum of the differences in Y, Cr and Cb that is foreground, grey levels."""
     deviations: Positive = 6.0
     """The sum must also exceed this many of the pixel's own deviations (scaled MAD)."""
+    weak_threshold: Positive = 14.0
+    """Least sum that is foreground next to such pixels: white hair before a white wall."""
+    reach_px: Count = 12
+    """How far from them that holds, at the width above; 0 is the thesis's."""
     follow_light: bool = True
     """Divide out a common gain of each colour channel: flicker, exposure, a slow change of light."""
     shadows: bool = True
     """Take what is only darker, in the same colour and by a bounded factor, for a shadow and not for a person."""
-    shadow_darkest: Fraction = 0.5
+    shadow_darkest: Fraction = 0.75
     """A shadow keeps at least this fraction of the light."""
     shadow_colour: Positive = 8.0
     """Largest sum of the differences in Cr and Cb of a shadow, grey levels."""
+    shadow_texture: Positive = 0.05
+    """Largest standard deviation, among neighbours, of the factor by which a shadow darkens the room."""
     min_frames: Count = 20
     """Fewest images from which a background is learnt."""
     max_frames: Count = 100
@@ -71,12 +77,12 @@ class BackgroundSettings:
 class SilhouetteSettings:
     """From foreground pixels to people (thesis 6.2.2)."""
 
-    shrink: Count = 2
-    """Regions are formed at 1/shrink of the image's size; 1 is the thesis's."""
+    width_px: Count = 640
+    """Regions are formed at the whole fraction of the image nearest to this width; 0, the thesis's, is all of it."""
     thicken: Count = 0
     """Times that regions grow by a pixel without merging; 1 is the thesis's, and makes everyone too wide."""
-    close_px: Count = 7
-    """Side of the square that closes gaps."""
+    close_px: Count = 5
+    """Side of the square that closes gaps, at the width above; the thesis's default is 7."""
     min_fraction: Fraction = 0.002
     """Regions smaller than this fraction of the image are no people."""
     people: Count = 4
@@ -188,9 +194,9 @@ class PersonSettings:
 def thesis_person() -> PersonSettings:
     """The thesis's own methods and defaults at every stage: the baseline."""
     return PersonSettings(
-        motion=MotionSettings(shrink=1),
-        background=BackgroundSettings(shrink=1, follow_light=False, shadows=False),
-        silhouette=SilhouetteSettings(shrink=1, thicken=1, people=1),
+        motion=MotionSettings(width_px=0, floor_px=50),
+        background=BackgroundSettings(width_px=0, reach_px=0, follow_light=False, shadows=False),
+        silhouette=SilhouetteSettings(width_px=0, thicken=1, close_px=7, people=1),
         head=HeadSettings(method="thesis", template_px=24, min_score=0.6),
         skin=SkinSettings(model="thesis"),
         marker=MarkerSettings(gates="fixed"),

@@ -1,4 +1,4 @@
-"""Colours of whole images."""
+"""Colours and sizes of whole images."""
 
 from __future__ import annotations
 
@@ -22,3 +22,16 @@ def scaled(image: Image, gains: Float[np.ndarray, "3"]) -> Image:
     """The image with blue, green and red times their gains."""
     channels = [cv2.convertScaleAbs(channel, alpha=float(gain)) for channel, gain in zip(cv2.split(image), gains)]
     return cv2.merge(channels)
+
+
+def shrink_of(image_width: int, width_px: int) -> int:
+    """The whole factor that brings an image to about this width, 1 where it is no wider or 0 was asked for."""
+    return max(round(image_width / width_px), 1) if width_px else 1
+
+
+def shrunk(image: Image, shrink: int) -> UInt8[np.ndarray, "h w 3"]:
+    """The image at 1/shrink of its size, rounded up; each pixel the mean of those that it covers."""
+    if shrink == 1:
+        return image
+    size = (-(-image.shape[1] // shrink), -(-image.shape[0] // shrink))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)

@@ -17,11 +17,13 @@ from jaxpoint.detect.silhouette import Silhouette
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
 CUT = 0.5  # of its width: a head that reaches so widely over the top of the image has no middle
 BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
+OF_AREA = 0.35  # height of a head over the root of a silhouette's area: 0.30 to 0.42 from all sides, arms up or down
+AREA_RANGE = (0.6, 2.0)  # of that height; more where furniture hides most of a person
+AREA_SIGMA = (0.25, 0.45)  # of its logarithm, below and above
+AREA_WEIGHT = 0.1  # of a correlation, at one sigma
 RING = (1.08, 1.6)  # of the ellipse's radius: between them is what must not belong to the person
 RING_OPENS = np.radians(100)  # rad from straight up
 FINE = 8  # points a pixel from which templates are drawn
-LARGEST_PART = 0.45  # of the silhouette's height: more is a head without a body
-LEAST_PART = 1 / 11  # of the silhouette's height: a head is a ninth of a person who stands with an arm raised
 
 ANGLES = np.radians(np.linspace(-105, 105, 43))  # rad from straight up: the outline above the chin
 RADII = np.linspace(0.4, 1.6, 49)  # of the expected outline, where it is looked for
@@ -66,21 +68,27 @@ def find_head(silhouette: Silhouette, focal_px: float, settings: HeadSettings) -
         focal_px: focal length of the camera, px; it gives the sizes that a head can have.
         settings: `thesis` stops after the correlation.
     """
-    height = silhouette.box[3]
+    height, outline = silhouette.box[3], settings.method == "outline"
     heights = head_heights(focal_px, settings)
     if height < heights[0]:
         return _missing(silhouette, HeadReason.TOO_SMALL)
-    if settings.method == "outline":
-        heights = heights[(heights >= LEAST_PART * height) & (heights <= LARGEST_PART * height)]
+    expected = OF_AREA * np.sqrt(silhouette.region.area)
+    if outline:
+        heights = heights[(heights >= AREA_RANGE[0] * expected) & (heights <= AREA_RANGE[1] * expected)]
     heights = heights[heights <= height]
     if not len(heights):
         return _missing(silhouette, HeadReason.NO_SIZE_FITS)
     peaks = [_correlate(silhouette.mask, float(size), settings) for size in heights]
-    x, y, score, size = max(peaks, key=lambda peak: peak[2])
-    if settings.method == "outline" and score >= settings.min_score:
+    x, y, score, size = max(peaks, key=lambda peak: peak[2] - (_unlikely(peak[3] / expected) if outline else 0))
+    if outline and score >= settings.min_score:
         x, y, size = _fit_outline(silhouette.mask, x, y, size, settings.aspect)
     head = Head(x + silhouette.box[0], y + silhouette.box[1], score, size, HeadReason.FOUND)
     return replace(head, reason=_judged(head, silhouette, settings))
+
+
+def _unlikely(ratio: float) -> float:
+    """What a head of `ratio` times the height that suits the person's area loses of its correlation."""
+    return AREA_WEIGHT * (math.log(ratio) / AREA_SIGMA[int(ratio > 1)]) ** 2
 
 
 def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:

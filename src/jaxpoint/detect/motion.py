@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Int, UInt8
 
 from jaxpoint.config.person import MotionSettings
-from jaxpoint.detect.colour import Image
+from jaxpoint.detect.colour import Image, shrink_of, shrunk
 from jaxpoint.errors import InsufficientDataError
 
 
@@ -30,7 +30,8 @@ def motion_between(previous: Image, image: Image, settings: MotionSettings) -> M
     """
     if previous.shape != image.shape:
         raise ValueError(f"Images of {previous.shape[1::-1]} and {image.shape[1::-1]} px cannot be compared.")
-    before, after = (cv2.cvtColor(_small(one, settings.shrink), cv2.COLOR_BGR2YCrCb) for one in (previous, image))
+    shrink = shrink_of(image.shape[1], settings.width_px)
+    before, after = (cv2.cvtColor(shrunk(one, shrink), cv2.COLOR_BGR2YCrCb) for one in (previous, image))
     y, cr, cb = cv2.split(cv2.absdiff(before, after))
     total = cv2.add(cv2.add(y, cr), cb)  # 0..765 saturates at 255, far above both thresholds of the edges
     edges = cv2.countNonZero(cv2.Canny(total, settings.canny_low, settings.canny_high))
@@ -51,7 +52,7 @@ def learn_threshold(counts: Int[np.ndarray, " N"], settings: MotionSettings) -> 
             f"and there are {len(counts)}; record it for longer, or lower `motion.min_pairs`."
         )
     learnt = np.mean(counts) + settings.deviations * np.std(counts)
-    return float(max(learnt, settings.floor_px / settings.shrink))
+    return float(max(learnt, settings.floor_px))
 
 
 def intervals(above: Bool[np.ndarray, " N"], settings: MotionSettings) -> list[tuple[int, int]]:
@@ -75,13 +76,6 @@ def intervals(above: Bool[np.ndarray, " N"], settings: MotionSettings) -> list[t
     if first is not None and last is not None:
         found.append((first, last))
     return found
-
-
-def _small(image: Image, shrink: int) -> UInt8[np.ndarray, "h w 3"]:
-    if shrink <= 1:
-        return image
-    size = (max(image.shape[1] // shrink, 1), max(image.shape[0] // shrink, 1))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def _of_one_sign(

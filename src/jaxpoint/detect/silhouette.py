@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float32, UInt8
 
 from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
 from jaxpoint.detect.background import median_background
-from jaxpoint.detect.colour import Image, scaled
+from jaxpoint.detect.colour import Image, scaled, shrink_of, shrunk
 from jaxpoint.detect.region import Mask, Region, label_regions
 from jaxpoint.errors import InsufficientDataError
 
@@ -20,7 +20,8 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
-GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
+SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
+GHOST_WIDTH = 320  # px, of the images in which `never_clears` looks
 GHOST_IMAGES = 30  # that it looks at
 GHOST_REGION = 0.001  # of the image: smaller regions are noise
 GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
@@ -35,6 +36,7 @@ class RoomBackground:
     level: UInt8[np.ndarray, "h w 3"]  # blue, green, red: medians
     colour: UInt8[np.ndarray, "h w 3"]  # the same as Y, Cr, Cb
     threshold: UInt8[np.ndarray, "h w"]  # grey levels, of the sum of the differences in Y, Cr, Cb
+    weak: UInt8[np.ndarray, "h w"]  # the same for pixels next to those above it
     shrink: int
     size: tuple[int, int]  # px, width and height of the whole image
 
@@ -82,7 +84,8 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
             "the empty room for longer, or lower `background.min_frames`."
         )
     chosen = np.unique(np.linspace(0, len(images) - 1, min(len(images), settings.max_frames)).round().astype(int))
-    small = np.stack([_shrunk(images[i], settings.shrink) for i in chosen])
+    shrink = shrink_of(images[0].shape[1], settings.width_px)
+    small = np.stack([shrunk(images[i], shrink) for i in chosen])
     if settings.follow_light:
         reference = np.median(small[:: max(1, len(small) // 15)], axis=0).astype(np.uint8)
         small = np.stack([_in_light_of(reference, image) for image in small])
@@ -90,14 +93,19 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
     in_colour = np.stack([cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb) for image in small])
     channels = [median_background(in_colour[..., channel]) for channel in range(3)]
     deviation = np.sqrt(sum(channel.deviation**2 for channel in channels))
-    threshold = np.clip(np.maximum(settings.threshold, settings.deviations * deviation), 0, 255)
+    deviations = settings.deviations * deviation
     return RoomBackground(
         level=np.round(level).astype(np.uint8),
         colour=np.round(np.stack([channel.level for channel in channels], axis=-1)).astype(np.uint8),
-        threshold=np.floor(threshold).astype(np.uint8),
-        shrink=settings.shrink,
+        threshold=_levels(np.maximum(settings.threshold, deviations)),
+        weak=_levels(np.maximum(settings.weak_threshold, deviations)),
+        shrink=shrink,
         size=(images[0].shape[1], images[0].shape[0]),
     )
+
+
+def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    return np.floor(np.minimum(threshold, 255)).astype(np.uint8)
 
 
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
@@ -107,14 +115,13 @@ def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float
     the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
     holds somebody. Of one who does not move at all nothing can be known.
     """
-    shrink = max(settings.shrink, round(images[0].shape[1] / GHOST_WIDTH))
-    shrunk = replace(settings, shrink=shrink, shadows=False)
-    background = learn_background(images, shrunk)
+    small = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
+    background = learn_background(images, small)
     room = _edges(background.level)
     left = real = 0
     for i in np.unique(np.linspace(0, len(images) - 1, GHOST_IMAGES).round().astype(int)):
-        seen = _edges(_shrunk(images[i], shrunk.shrink))
-        outline = _outline(foreground(images[i], background, shrunk), background.level.shape)
+        seen = _edges(shrunk(images[i], background.shrink))
+        outline = _outline(foreground(images[i], background, small), background.level.shape)
         ours, others = seen[outline], room[outline]
         clear = np.maximum(ours, others) > GHOST_EDGE
         left += np.count_nonzero(clear & (others > GHOST_RATIO * ours))
@@ -131,17 +138,26 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     size = (image.shape[1], image.shape[0])
     if size != background.size:
         raise ValueError(f"The image has {size[0]} x {size[1]} px and the background {background.size}; learn it anew.")
-    small = _shrunk(image, background.shrink)
+    small = shrunk(image, background.shrink)
     if settings.follow_light:
         small = _in_light_of(background.level, small)
     colour = cv2.cvtColor(small, cv2.COLOR_BGR2YCrCb)
     difference = cv2.absdiff(colour, background.colour)
     y, cr, cb = cv2.split(difference)
     total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
-    mask = cv2.compare(total, background.threshold, cv2.CMP_GT)
+    weak = cv2.compare(total, background.weak if settings.reach_px else background.threshold, cv2.CMP_GT)
     if settings.shadows:
-        _remove_shadows(mask, colour, background.colour, settings)
-    return _enlarged(mask, background.size)
+        _remove_shadows(weak, colour, background.colour, settings)
+    mask = cv2.bitwise_and(cv2.compare(total, background.threshold, cv2.CMP_GT), weak)
+    return _enlarged(_grown(mask, weak, settings.reach_px), background.size)
+
+
+def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
+    """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
+    square = np.ones((3, 3), np.uint8)
+    for _ in range(reach):
+        sure = cv2.bitwise_or(cv2.bitwise_and(cv2.dilate(sure, square), weak), sure)
+    return sure
 
 
 class AdaptiveBackground:
@@ -154,11 +170,11 @@ class AdaptiveBackground:
         else:
             self._model = cv2.createBackgroundSubtractorMOG2(history=settings.history, detectShadows=shadows)
         self._model.setShadowThreshold(settings.shadow_darkest)
-        self._shrink = settings.shrink
+        self._width_px = settings.width_px
 
     def foreground(self, image: Image) -> UInt8[np.ndarray, "H W"]:
         """As `foreground`; the image also becomes a part of the background."""
-        mask = self._model.apply(_shrunk(image, self._shrink))
+        mask = self._model.apply(shrunk(image, shrink_of(image.shape[1], self._width_px)))
         mask = cv2.threshold(mask, 200, 255, cv2.THRESH_BINARY)[1]  # 127 is a shadow
         return _enlarged(mask, (image.shape[1], image.shape[0]))
 
@@ -167,23 +183,23 @@ def silhouettes(mask: Mask, settings: SilhouetteSettings) -> list[Silhouette]:
     """Thickened, closed and connected: the people in a mask of foreground, the largest first."""
     size = (mask.shape[1], mask.shape[0])
     bits = np.ascontiguousarray(mask).view(np.uint8)
-    if settings.shrink > 1:
-        shape = (-(-size[0] // settings.shrink), -(-size[1] // settings.shrink))
+    shrink = shrink_of(size[0], settings.width_px)
+    if shrink > 1:
+        shape = (-(-size[0] // shrink), -(-size[1] // shrink))
         bits = cv2.resize(bits, shape, interpolation=cv2.INTER_NEAREST)
     bits = cv2.threshold(bits, 0, 255, cv2.THRESH_BINARY)[1]
-    side = 1 + 2 * round(settings.close_px / settings.shrink / 2)
-    margin = settings.thicken + side
+    margin = settings.thicken + settings.close_px
     x, y, width, height = cv2.boundingRect(bits)
     part = np.s_[max(y - margin, 0) : y + height + margin, max(x - margin, 0) : x + width + margin]
-    bits[part] = _mended(bits[part], settings.thicken, side)
+    bits[part] = _mended(bits[part], settings)
     labels, regions = label_regions(bits, min_area=max(1, int(settings.min_fraction * bits.size)))
-    return [_silhouette(labels, region, settings.shrink, size) for region in regions[: settings.people]]
+    return [_silhouette(labels, region, shrink, size) for region in regions[: settings.people]]
 
 
-def _mended(bits: UInt8[np.ndarray, "h w"], thicken: int, side: int) -> UInt8[np.ndarray, "h w"]:
-    for _ in range(thicken):
+def _mended(bits: UInt8[np.ndarray, "h w"], settings: SilhouetteSettings) -> UInt8[np.ndarray, "h w"]:
+    for _ in range(settings.thicken):
         bits = thickened(bits)
-    return closed(bits, side)
+    return closed(bits, settings.close_px) if settings.close_px else bits
 
 
 def thickened(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -223,13 +239,6 @@ def _silhouette(labels: np.ndarray, region: Region, shrink: int, size: tuple[int
     return Silhouette(mask, whole.box, whole, size)
 
 
-def _shrunk(image: Image, shrink: int) -> UInt8[np.ndarray, "h w 3"]:
-    if shrink == 1:
-        return image
-    size = (-(-image.shape[1] // shrink), -(-image.shape[0] // shrink))
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
 def _enlarged(mask: UInt8[np.ndarray, "h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
     if mask.shape == size[::-1]:
         return mask
@@ -265,7 +274,10 @@ def _remove_shadows(
     room: UInt8[np.ndarray, "h w 3"],
     settings: BackgroundSettings,
 ) -> None:
-    """Clear what is darker than the room by a bounded factor and of its colour. Changes `mask`."""
+    """Clear what is darker than the room by a bounded factor, of its colour and of its texture. Changes `mask`.
+
+    The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
+    """
     x, y, width, height = cv2.boundingRect(mask)
     if not width:
         return
@@ -276,6 +288,9 @@ def _remove_shadows(
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
     shadow = (factor >= settings.shadow_darkest) & (factor <= SHADOW_BRIGHTEST) & (faded <= settings.shadow_colour)
+    mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
+    variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
+    shadow &= variance <= settings.shadow_texture**2
     mask[part][shadow] = 0
 
 

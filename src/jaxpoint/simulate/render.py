@@ -6,6 +6,7 @@ they also lie at four moments of the exposure. Everything is linear light in Ope
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -24,7 +25,6 @@ MOVES_PX = 0.5  # what moves less during the exposure is drawn at rest
 CHUNK = 400_000  # samples shaded at once
 SHADOW_BLUR_PX = 1.6  # of the lamps' maps, for the lamps' size
 SKIN_BIAS_M = 0.05
-NO_MAP = np.zeros(0, np.float32)  # cv2.remap: both coordinates stand in one map
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class RoomView:
 
     image: Float[np.ndarray, "H W 3"]  # linear blue, green, red
     depth: Float[np.ndarray, "H2 W2"]  # m, of every sample
-    lamp_places: tuple[Float[np.ndarray, "h w 2"], ...]  # where each lamp's map shows every COARSE-th pixel
+    lamp_places: tuple[Float[np.ndarray, "2 h w"], ...]  # x and y, where each lamp's map shows every COARSE-th pixel
     lamp_distances: Float[np.ndarray, "L h w"]  # m
     lamp_shares: Float[np.ndarray, "L h w"]  # of the light there
 
@@ -137,18 +137,23 @@ def nobody(image: Float[np.ndarray, "H W 3"]) -> Drawn:
     return Drawn(image, np.zeros(image.shape[:2], np.uint8), none, none)
 
 
-def samples_alone(view: Viewpoint, people: LitPeople, label: int) -> int:
-    """How many samples one part of one person has when nothing hides it, beyond the image's edges too."""
-    chosen = (people.parts[people.triangles] == label).all(axis=1)
+def samples_alone(view: Viewpoint, people: LitPeople, label: int, around: Sequence[int]) -> int:
+    """How many samples a part of a person has when only it and the parts around it are drawn.
+
+    What lies beyond the image's edges counts too. The parts around it hide the ends that are sunk into them.
+    """
+    part = people.parts[people.triangles[:, 0]]
+    triangles = people.triangles[np.isin(part, (label, *around))]
     pixels, depth = view.project(people.middle)
-    triangles = people.triangles[chosen]
     if not len(triangles) or not np.isfinite(pixels[triangles]).all():
         return 0
-    low = np.floor(pixels[triangles].min(axis=(0, 1))) - 1
-    width, height = (np.ceil(pixels[triangles].max(axis=(0, 1))) + 2 - low).astype(int).tolist()
+    own = pixels[people.triangles[part == label]]
+    low = np.floor(own.min(axis=(0, 1))) - 1
+    width, height = (np.ceil(own.max(axis=(0, 1))) + 2 - low).astype(int).tolist()
     corners = SAMPLES * (pixels - low) + (SAMPLES - 1) / 2
     raster = rasterise(corners[triangles], depth[triangles], (SAMPLES * width, SAMPLES * height))
-    return int((raster.triangle != NOTHING).sum())
+    found = raster.triangle[raster.triangle != NOTHING]
+    return int((people.parts[triangles[found, 0]] == label).sum())
 
 
 def label_of(part: int, person: int) -> int:
@@ -208,8 +213,8 @@ def _cast_shadows(image: np.ndarray, room: RoomView, people: LitPeople) -> None:
     for place, distance, share, coverage, near in zip(
         room.lamp_places, room.lamp_distances, room.lamp_shares, people.coverage, people.distance
     ):
-        taken = cv2.remap(coverage, place, NO_MAP, cv2.INTER_LINEAR)
-        first = cv2.remap(near, place, NO_MAP, cv2.INTER_NEAREST)
+        taken = cv2.remap(coverage, place[0], place[1], cv2.INTER_LINEAR)
+        first = cv2.remap(near, place[0], place[1], cv2.INTER_NEAREST)
         lost += share * taken * (distance > first + SKIN_BIAS_M)
     rows, columns = np.nonzero(lost > 0.004)
     if not len(rows):
@@ -270,9 +275,10 @@ def _looked_up(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     inside = uv - np.floor(uv - (uv == np.floor(uv)) * 1e-6)  # 1.0 is the right edge, not the left
     place = (inside * [width, height] - 0.5).astype(np.float32)
     rows = -(-len(place) // 4096)
-    padded = np.zeros((rows * 4096, 2), np.float32)
-    padded[: len(place)] = place
-    found = cv2.remap(image, padded.reshape(rows, 4096, 2), NO_MAP, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    padded = np.zeros((2, rows * 4096), np.float32)  # cv2.remap takes no long rows
+    padded[:, : len(place)] = place.T
+    x, y = padded.reshape(2, rows, 4096)
+    found = cv2.remap(image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return found.reshape(-1, 3)[: len(place)]
 
 
@@ -303,7 +309,7 @@ def _lamps_at(scene: Scene, light: RoomLight, raster: Raster, corners, depths) -
 def _lamp_at(lamp: LightPoint, points: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
     place, distance = lamp.on_map(points)
     outside = np.nan_to_num(place, nan=-2.0 * MAP_PX).astype(np.float32)
-    return outside.reshape(*shape, 2), distance.reshape(shape).astype(np.float32)
+    return np.ascontiguousarray(outside.T).reshape(2, *shape), distance.reshape(shape).astype(np.float32)
 
 
 def _mixed(weights: np.ndarray, values: np.ndarray) -> np.ndarray:

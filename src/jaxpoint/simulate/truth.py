@@ -12,9 +12,9 @@ from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.render import Drawn, LitPeople, label_of, samples_alone
 from jaxpoint.simulate.viewpoints import Viewpoint
 
-PARTS = {
-    "left": (Part.LEFT_FOREARM, Part.LEFT_FINGER),
-    "right": (Part.RIGHT_FOREARM, Part.RIGHT_FINGER),
+ARM = {
+    "left": (Part.LEFT_UPPER_ARM, Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),
+    "right": (Part.RIGHT_UPPER_ARM, Part.RIGHT_FOREARM, Part.RIGHT_HAND, Part.RIGHT_FINGER),
 }
 
 
@@ -24,7 +24,7 @@ class ViewTruth:
 
     person: int
     hand: Side
-    forearm_visible: float  # share of its pixels, 0..1: drawn in the scene over drawn alone, in the image or not
+    forearm_visible: float  # share of its pixels, 0..1: in the scene over those of the arm drawn alone
     forearm_angle_deg: float  # between elbow-wrist axis and line of sight, 0..90
     finger_visible: float
     silhouette_px: int
@@ -45,15 +45,17 @@ def view_truth(
     """The truth of a person whose joints (m) these are, in an image."""
     elbow, wrist = joints[f"{hand}_elbow"], joints[f"{hand}_wrist"]
     pixels = view.project(np.stack([joints["head"], elbow, wrist, joints[f"{hand}_tip"]]))[0]
-    forearm, finger = (_visible(view, people, shown, label_of(part, person)) for part in PARTS[hand])
+    arm = [label_of(part, person) for part in ARM[hand]]
+    forearm, finger = (_visible(view, people, shown, part, arm) for part in (arm[1], arm[3]))
     first = PARTS_A_PERSON * person
     silhouette = int(shown.pixels[max(1, first) : first + PARTS_A_PERSON].sum())
     return ViewTruth(person, hand, forearm, _angle_deg(view, elbow, wrist), finger, silhouette, *pixels)
 
 
-def _visible(view: Viewpoint, people: LitPeople, shown: Drawn, label: int) -> float:
-    alone = samples_alone(view, people, label) if shown.samples[label] else 0
-    return min(1.0, shown.samples[label] / alone) if alone else 0.0
+def _visible(view: Viewpoint, people: LitPeople, shown: Drawn, label: int, arm: list[int]) -> float:
+    seen = int(shown.samples[label])
+    alone = samples_alone(view, people, label, arm) if seen else 0
+    return min(1.0, seen / alone) if alone else 0.0
 
 
 def _angle_deg(view: Viewpoint, elbow: np.ndarray, wrist: np.ndarray) -> float:

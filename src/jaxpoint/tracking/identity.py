@@ -1,7 +1,7 @@
 """Who is who: tracks are born, get an id, wait while nobody sees them, and end.
 
-A head that continues no track begins one. It gets an id once it was measured in 3 of its first 5 frames: that of a track
-lost before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one.
+A head that continues no track begins one. It gets an id once it was measured in 3 of its first 5 frames (by three views
+or more where somebody else is within a metre, since rays to two people cross between them): that of a track lost before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one.
 A lost track waits for 2 s. So whoever comes out from behind something within that time, about where he was going, keeps
 his id; whoever comes back later is a new person: geometry alone cannot tell who it is.
 """
@@ -11,11 +11,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from jaxpoint.config.track import TrackSettings
 
+BESIDE_M = 1.0  # people nearer than this are beside one another
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Track:
     key: int  # of this track and no other
     person: int  # id; 0 until the track is confirmed
     frames: int  # since it was born
-    hits: int  # of these, how many measured it
+    hits: int  # of these, how many saw it well enough to confirm it
     born_at: float  # s
     measured_at: float  # s, the last time
     mean: Float[np.ndarray, "6"]  # position (m), velocity (m/s)
@@ -36,12 +37,20 @@ class Track:
         """A track about to begin at this time (s)."""
         return Track(key, 0, 0, 0, time, time, np.zeros(6), np.eye(6))
 
-    def after(self, time: float | None, mean: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]) -> Track:
-        """The track after one more frame, `time` (s) if that measured it."""
-        hit = time is not None
-        at = time if hit else self.measured_at
+    def after(
+        self, time: float, views: int, beside: bool, mean: Float[np.ndarray, "6"], covariance: Float[np.ndarray, "6 6"]
+    ) -> Track:
+        """The track after one more frame, at `time` (s), in which so many views saw it.
+
+        Rays of two views to a person `beside` it may meet there, so that these do not help to confirm it.
+        """
         return replace(
-            self, frames=self.frames + 1, hits=self.hits + hit, measured_at=at, mean=mean, covariance=covariance
+            self,
+            frames=self.frames + 1,
+            hits=self.hits + (views >= 3 or (views == 2 and not beside)),
+            measured_at=time if views >= 2 else self.measured_at,
+            mean=mean,
+            covariance=covariance,
         )
 
     def outlived(self, time: float, settings: TrackSettings) -> bool:
@@ -67,6 +76,13 @@ def named(tracks: list[Track], people: int, settings: TrackSettings) -> tuple[li
             person = people = people + 1
         tracks = [replace(other, person=person) if other is track else other for other in tracks]
     return tracks, people
+
+
+def beside_others(points: Float[np.ndarray, "T 3"], others: Bool[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
+    """Whether each place (m) has one of the `others` beside it."""
+    gaps = np.linalg.norm(points[:, None] - points, axis=-1)
+    np.fill_diagonal(gaps, np.inf)
+    return ((gaps < BESIDE_M) & others).any(axis=1)
 
 
 def _unlike(one: Track, other: Track) -> tuple[float, float]:

@@ -22,6 +22,16 @@ class Status(IntEnum):
     AMBIGUOUS = 5  # the track alone: views did, but they do not agree, or another person explains them
 
 
+REASONS = {
+    Status.ABSENT: "not in the room",
+    Status.MEASURED: "measured",
+    Status.TWO_VIEWS: "two views only",
+    Status.ONE_VIEW: "one view only",
+    Status.NO_VIEW: "no view",
+    Status.AMBIGUOUS: "views do not agree",
+}
+
+
 @dataclass(frozen=True)
 class FrameHeads:
     """The T heads that are followed in one frame, known from this frame and those before it."""

@@ -14,7 +14,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.tracking.association import Predictions, associate, near_prediction
-from jaxpoint.tracking.identity import Track, named
+from jaxpoint.tracking.identity import Track, beside_others, named
 from jaxpoint.tracking.kalman import State
 from jaxpoint.tracking.measurement import Measured, measure, predict_all
 from jaxpoint.tracking.rays import Rays, rays_of_frames
@@ -130,9 +130,10 @@ def _step(
     views = (candidates >= 0).sum(axis=1)
     after = measured.states
     near = near_prediction(rays, expected, settings)
+    beside = beside_others(after.mean[:, :3], np.array([track.person > 0 for track in tracks], bool))
     heads = FrameHeads(
         tuple(
-            track.after(time if views[i] >= 2 else None, after.mean[i], after.covariance[i])
+            track.after(time, int(views[i]), bool(beside[i]), after.mean[i], after.covariance[i])
             for i, track in enumerate(tracks)
         ),
         np.array([_status(views[i], near[i] if i < len(near) else None, rays) for i in range(len(views))], int),
