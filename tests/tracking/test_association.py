@@ -88,7 +88,7 @@ def test_order_of_candidates_does_not_matter(room):
 def test_a_stray_candidate_is_left_out(room):
     rays = rays_to(room, PLACES[:1])
     wrong = rays.direction.copy()
-    wrong[2] = rays_to(room, PLACES[:1] + [[0.0, 0.0, 0.5]]).direction[2]
+    wrong[2] = rays_to(room, PLACES[:1] + np.array([0.0, 0.0, 0.5])).direction[2]
     _, candidates = heads(room, replace(rays, direction=wrong))
     assert candidates == [[0, 0, -1, 0, 0]]
 
@@ -129,7 +129,7 @@ def test_two_views_of_one_person_are(level):
 
 
 def test_a_third_view_suppresses_the_ghosts(level):
-    tracks, candidates = heads(Level(level), rays_to(Level(level), LEVEL_PLACES, cameras=[0, 1, 2]))
+    _, candidates = heads(Level(level), rays_to(Level(level), LEVEL_PLACES, cameras=[0, 1, 2]))
     assert sorted(candidates) == [[0, 0, 0, -1], [1, 1, 1, -1]]
 
 
