@@ -74,9 +74,9 @@ class GestureScore:
 
 
 def score_session(
-    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, gestures: Sequence[int] | None = None
+    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, every: int = 1
 ) -> tuple[list[ViewScore], list[GestureScore]]:
-    """Run both methods over the holds of one session."""
+    """Run both methods over the holds of one session, of which every so many frames are looked at."""
     person = person or PersonSettings()
     session = simulate_session(settings, seed)
     cameras = range(len(session.viewpoints))
@@ -84,11 +84,9 @@ def score_session(
     focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
     views, scores = [], []
     for gesture in session.gestures:
-        if gestures is not None and gesture.number not in gestures:
-            continue
         first = session.frame_at(gesture.hold_first_s) + 1
-        moments = range(first - LEAD, session.frame_at(gesture.hold_last_s))
-        held = range(first, moments.stop)
+        held = range(first, session.frame_at(gesture.hold_last_s), every)
+        moments = [*range(first - LEAD, first), *held]
         shown: dict[tuple[int, int], SimulatedFrame] = {}
         seen, spent = [], np.zeros(len(cameras))
         for camera in cameras:
@@ -204,7 +202,7 @@ def _gesture_score(session, gesture, held, arms, following, moments, views, arm_
     tracked = following.tracking.heads
     for moment in held:
         truth = _joints(session, gesture, moment)
-        row = moment - moments.start
+        row = moments.index(moment)
         places = tracked.positions[row][tracked.present[row]]
         if len(places):
             heads.append(float(np.linalg.norm(places - truth["head"], axis=1).min()))
