@@ -107,6 +107,7 @@ def summary(views: list[dict], gestures: list[dict]) -> str:
         ("gestures with an answer, %", f"{100 * len(answered) / max(1, len(enough)):.1f}", "", ">= 97"),
         ("direction, degrees: median", _interval(direction, np.median), "", "<= 1.0"),
         ("direction, degrees: mean", _interval(direction, np.mean), "", "<= 2.0"),
+        ("three views less two, degrees: median of pairs", _interval(_pairs(gestures), np.median), "", "not above 0"),
         ("tip, cm: median", _interval(100 * tips, np.median), "", "<= 1.5"),
         ("head, cm: median", _interval(100 * heads, np.median), "", "<= 2"),
         ("head, cm: 95th percentile", _interval(100 * heads, lambda x: np.percentile(x, 95)), "", "<= 5"),
@@ -125,6 +126,10 @@ def _shares(views: list[dict], verdict: str) -> tuple[str, ...]:
     return tuple(
         f"{100 * np.mean([view[method] == verdict for view in views]):.1f}" for method in ("default", "thesis")
     )
+
+
+def _pairs(gestures: list[dict]) -> np.ndarray:
+    return np.array([one["three_views_deg"] - one["two_views_deg"] for one in gestures])
 
 
 def _interval(values: np.ndarray, statistic) -> str:
