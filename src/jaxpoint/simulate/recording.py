@@ -21,7 +21,7 @@ from jaxpoint.simulate.wave import SimulatedWave
 
 CORNERS = ("lt", "rt", "lb", "rb")
 PIXELS = ("head", "elbow", "wrist", "tip")
-SHEET_WIDTH = 640  # px, of one camera in the preview
+SHEET_WIDTH = 400  # px, of one camera in the preview
 
 
 def write_session(
