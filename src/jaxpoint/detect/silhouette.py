@@ -20,9 +20,14 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
+WHOLE_IMAGES = 9  # from which the background at full size is taken
+GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
+GHOST_IMAGES = 30  # that it looks at
+GHOST_REGION = 0.001  # of the image: smaller regions are noise
+GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
+GHOST_RATIO = 1.5  # of the stronger edge to the weaker one
+MIN_OUTLINE = 200  # px: a shorter outline in all images together tells nothing
 SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
-TILE = 16  # px, side of the places that `never_clears` looks at
-NEVER_CLEAR = 0.5  # part of the recording in which a place is covered: beyond it the median is not the room
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,7 @@ class RoomBackground:
     weak: UInt8[np.ndarray, "h w"]  # the same for pixels next to those above it
     shrink: int
     size: tuple[int, int]  # px, width and height of the whole image
+    whole: UInt8[np.ndarray, "H W 3"]  # blue, green, red at full size: the median of a few images
 
 
 @dataclass(frozen=True)
@@ -97,7 +103,13 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
         weak=_levels(np.maximum(settings.weak_threshold, deviations)),
         shrink=shrink,
         size=(images[0].shape[1], images[0].shape[0]),
+        whole=_median([images[i] for i in chosen[:: max(1, len(chosen) // WHOLE_IMAGES)]]),
     )
+
+
+def _median(images: Sequence[Image]) -> Image:
+    middle = (len(images) - 1) // 2
+    return np.partition(np.stack(images), middle, axis=0)[middle]
 
 
 def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -105,18 +117,24 @@ def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 
 
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
-    """Largest connected part of the image (0..1) that is covered in more than half of a recording.
+    """Part (0..1) of the foreground's outlines that are edges of the background and not of the image.
 
-    There the median is a person who never leaves the spot, and not the room. One who does not move at all cannot be
-    told from furniture; one who stands and balances, or sits and works, is: places that change against the median or
-    between images in more than half of the recording, however little of the person changes at a time.
+    The outline of a person is an edge of the image. Where the median has taken a person who hardly leaves for the room,
+    the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
+    holds somebody. Of one who does not move at all nothing can be known.
     """
+    settings = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
     background = learn_background(images, settings)
-    step = max(1, len(images) // settings.max_frames)
-    masks = [foreground(images[i], background, replace(settings, shadows=False)) for i in range(0, len(images), step)]
-    busy = np.mean([_tiles(mask) for mask in masks], axis=0)
-    _, regions = label_regions(busy > NEVER_CLEAR)
-    return regions[0].area / busy.size if regions else 0.0
+    room = _edges(background.level)
+    left = real = 0
+    for i in np.unique(np.linspace(0, len(images) - 1, GHOST_IMAGES).round().astype(int)):
+        seen = _edges(shrunk(images[i], background.shrink))
+        outline = _outline(foreground(images[i], background, settings), background.level.shape)
+        ours, others = seen[outline], room[outline]
+        clear = np.maximum(ours, others) > GHOST_EDGE
+        left += np.count_nonzero(clear & (others > GHOST_RATIO * ours))
+        real += np.count_nonzero(clear & (ours > GHOST_RATIO * others))
+    return left / max(left + real, MIN_OUTLINE)
 
 
 def foreground(image: Image, background: RoomBackground, settings: BackgroundSettings) -> UInt8[np.ndarray, "H W"]:
@@ -135,19 +153,54 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     difference = cv2.absdiff(colour, background.colour)
     y, cr, cb = cv2.split(difference)
     total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
-    weak = cv2.compare(total, background.weak if settings.reach_px else background.threshold, cv2.CMP_GT)
-    if settings.shadows:
-        _remove_shadows(weak, colour, background.colour, settings)
-    mask = cv2.bitwise_and(cv2.compare(total, background.threshold, cv2.CMP_GT), weak)
-    return _enlarged(_grown(mask, weak, settings.reach_px), background.size)
+    sure = cv2.compare(total, background.threshold, cv2.CMP_GT)
+    x, y, width, height = cv2.boundingRect(sure)
+    reach = settings.reach_px
+    part = np.s_[max(y - reach, 0) : y + height + reach, max(x - reach, 0) : x + width + reach]
+    mask = np.zeros_like(sure)
+    if width:
+        weak = cv2.compare(total[part], background.weak[part], cv2.CMP_GT)
+        if settings.shadows:
+            weak = cv2.bitwise_and(weak, _unshaded(colour[part], background.colour[part], settings))
+        mask[part] = _grown(cv2.bitwise_and(sure[part], weak), weak, reach)
+    return _enlarged(mask, background.size)
 
 
 def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
     """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
     square = np.ones((3, 3), np.uint8)
     for _ in range(reach):
-        sure = cv2.bitwise_or(cv2.bitwise_and(cv2.dilate(sure, square), weak), sure)
+        sure = cv2.bitwise_and(cv2.dilate(sure, square), weak)
     return sure
+
+
+def sharpened(
+    mask: UInt8[np.ndarray, "h w"],
+    image: Image,
+    room: Image,
+    threshold: float,
+    reach: int,
+) -> UInt8[np.ndarray, "h w"]:
+    """The mask with its outline decided anew at the image's own size, within `reach` px on either side.
+
+    Args:
+        mask: foreground, made at a smaller size; a crop.
+        image: the same crop of the image.
+        room: the same crop of the background, `RoomBackground.whole`.
+        threshold: least sum of differences in Y, Cr and Cb.
+        reach: px.
+    """
+    square = np.ones((3, 3), np.uint8)
+    outer, inner = cv2.dilate(mask, square, iterations=reach), cv2.erode(mask, square, iterations=reach)
+    outside = outer[::4, ::4] == 0
+    if np.count_nonzero(outside) >= MIN_GAIN_PIXELS:
+        seen, wanted = image[::4, ::4][outside].astype(np.float32), room[::4, ::4][outside].astype(np.float32)
+        image = scaled(image, np.clip((wanted.mean(axis=0) + 1) / (seen.mean(axis=0) + 1), 1 / MAX_GAIN, MAX_GAIN))
+    y, cr, cb = cv2.split(
+        cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
+    )
+    differs = cv2.compare(cv2.add(cv2.add(y, cr), cb), threshold, cv2.CMP_GT)
+    return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
 
 
 class AdaptiveBackground:
@@ -258,22 +311,15 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
     return scaled(image, gain)
 
 
-def _remove_shadows(
-    mask: UInt8[np.ndarray, "h w"],
-    colour: UInt8[np.ndarray, "h w 3"],
-    room: UInt8[np.ndarray, "h w 3"],
-    settings: BackgroundSettings,
-) -> None:
-    """Clear what is darker than the room by a bounded factor, of its colour and of its texture. Changes `mask`.
+def _unshaded(
+    colour: UInt8[np.ndarray, "h w 3"], room: UInt8[np.ndarray, "h w 3"], settings: BackgroundSettings
+) -> UInt8[np.ndarray, "h w"]:
+    """255 except where the image is the room, darker by a bounded and even factor and of its colour (Y, Cr, Cb).
 
     The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
     """
-    x, y, width, height = cv2.boundingRect(mask)
-    if not width:
-        return
-    part = np.s_[y : y + height, x : x + width]
-    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour[part]))
-    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room[part]))
+    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour))
+    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room))
     factor = light / np.maximum(room_light, 1)
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
@@ -281,10 +327,22 @@ def _remove_shadows(
     mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
     variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
     shadow &= variance <= settings.shadow_texture**2
-    mask[part][shadow] = 0
+    return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
-def _tiles(mask: UInt8[np.ndarray, "H W"]) -> Bool[np.ndarray, "R C"]:
-    """Which squares of the image hold any foreground worth the name."""
-    size = (max(1, mask.shape[1] // TILE), max(1, mask.shape[0] // TILE))
-    return cv2.resize(mask, size, interpolation=cv2.INTER_AREA) > 255 * 0.05
+def _edges(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:
+    """Largest gradient within a pixel of each."""
+    smooth = cv2.GaussianBlur(small, (3, 3), 0)
+    parts = [cv2.Sobel(smooth, cv2.CV_32F, 1 - axis, axis) for axis in (0, 1)]
+    strength = np.sqrt(sum((part**2).sum(axis=2) for part in parts))
+    return cv2.dilate(strength, np.ones((3, 3), np.uint8))
+
+
+def _outline(mask: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:
+    """Border of the foreground's larger regions."""
+    small = cv2.resize(mask, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
+    square = np.ones((3, 3), np.uint8)
+    small = cv2.morphologyEx(closed(small, 3), cv2.MORPH_OPEN, square)
+    labels, regions = label_regions(small, min_area=max(1, int(GHOST_REGION * small.size)))
+    kept = np.isin(labels, [region.label for region in regions]).astype(np.uint8)
+    return cv2.morphologyEx(kept, cv2.MORPH_GRADIENT, square) > 0
