@@ -16,6 +16,7 @@ import json
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -156,16 +157,27 @@ def still(folder: Path, camera: str, images: list[Image]) -> Image:
     return image
 
 
+def shaken(room: Image) -> list[Image]:
+    """One image moved by a pixel each way: a still lies on a video no more exactly, and has no noise of its own."""
+    shifts = [np.array([[1.0, 0.0, x], [0.0, 1.0, y]]) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+    size = (room.shape[1], room.shape[0])
+    moved = [cv2.warpAffine(room, shift, size, borderMode=cv2.BORDER_REPLICATE) for shift in shifts]
+    return 3 * [np.asarray(image, dtype=np.uint8) for image in moved]
+
+
 def looked_at(
     images: list[Image], background: str, room: Image, focal: float, caps: Float[np.ndarray, "F 2"]
 ) -> list[tuple[Silhouette, Head] | None]:
     """The silhouette that holds the labelled cap in each image, and its head."""
     settings = SETTINGS.background
-    adaptive = AdaptiveBackground(replace(settings, method="mog2"))
-    learnt = learn_background([room] * settings.min_frames if background == "given" else images, settings)
+    if background == "mog2":
+        foreground_of = AdaptiveBackground(replace(settings, method="mog2")).foreground
+    else:
+        learnt = learn_background(shaken(room) if background == "given" else images, settings)
+        foreground_of = partial(foreground, background=learnt, settings=settings)
     found = []
     for image, (x, y) in zip(images, caps.astype(int)):
-        mask = adaptive.foreground(image) if background == "mog2" else foreground(image, learnt, settings)
+        mask = foreground_of(image)
         holding = [one for one in silhouettes(mask, SETTINGS.silhouette) if one.full()[y, x]]
         found.append((holding[0], find_head(holding[0], focal, SETTINGS.head)) if holding else None)
     return found

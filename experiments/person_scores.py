@@ -25,7 +25,7 @@ from jaxpoint.person.views import watch
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
 
-LEAD = 5  # frames before the hold: enough for a head track to be confirmed
+LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 COVERED = 0.3  # of the visible forearm and hand that a right region must hold
 ARM = {
     "left": (Part.LEFT_UPPER_ARM, Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),

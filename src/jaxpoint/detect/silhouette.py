@@ -20,6 +20,7 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
+WHOLE_IMAGES = 9  # from which the background at full size is taken
 GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
 GHOST_IMAGES = 30  # that it looks at
 GHOST_REGION = 0.001  # of the image: smaller regions are noise
@@ -39,6 +40,7 @@ class RoomBackground:
     weak: UInt8[np.ndarray, "h w"]  # the same for pixels next to those above it
     shrink: int
     size: tuple[int, int]  # px, width and height of the whole image
+    whole: UInt8[np.ndarray, "H W 3"]  # blue, green, red at full size: the median of a few images
 
 
 @dataclass(frozen=True)
@@ -106,7 +108,13 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
         weak=_levels(np.maximum(settings.weak_threshold, deviations)),
         shrink=shrink,
         size=(images[0].shape[1], images[0].shape[0]),
+        whole=_median([images[i] for i in chosen[:: max(1, len(chosen) // WHOLE_IMAGES)]]),
     )
+
+
+def _median(images: Sequence[Image]) -> Image:
+    middle = (len(images) - 1) // 2
+    return np.partition(np.stack(images), middle, axis=0)[middle]
 
 
 def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -169,6 +177,35 @@ def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach
     for _ in range(reach):
         sure = cv2.bitwise_and(cv2.dilate(sure, square), weak)
     return sure
+
+
+def sharpened(
+    mask: UInt8[np.ndarray, "h w"],
+    image: Image,
+    room: Image,
+    threshold: float,
+    reach: int,
+) -> UInt8[np.ndarray, "h w"]:
+    """The mask with its outline decided anew at the image's own size, within `reach` px on either side.
+
+    Args:
+        mask: foreground, made at a smaller size; a crop.
+        image: the same crop of the image.
+        room: the same crop of the background, `RoomBackground.whole`.
+        threshold: least sum of differences in Y, Cr and Cb.
+        reach: px.
+    """
+    square = np.ones((3, 3), np.uint8)
+    outer, inner = cv2.dilate(mask, square, iterations=reach), cv2.erode(mask, square, iterations=reach)
+    outside = outer[::4, ::4] == 0
+    if np.count_nonzero(outside) >= MIN_GAIN_PIXELS:
+        seen, wanted = image[::4, ::4][outside].astype(np.float32), room[::4, ::4][outside].astype(np.float32)
+        image = scaled(image, np.clip((wanted.mean(axis=0) + 1) / (seen.mean(axis=0) + 1), 1 / MAX_GAIN, MAX_GAIN))
+    y, cr, cb = cv2.split(
+        cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
+    )
+    differs = cv2.compare(cv2.add(cv2.add(y, cr), cb), threshold, cv2.CMP_GT)
+    return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
 
 
 class AdaptiveBackground:

@@ -130,9 +130,7 @@ def _clock(heads: HeadTracks) -> tuple[float, float]:
 
 
 def _dots(ax: Axes, places: np.ndarray, seconds: np.ndarray, times: np.ndarray) -> None:
-    ax.scatter(
-        *places.T, c=seconds, s=9, cmap=_TIME, vmin=times[0], vmax=times[-1], lw=0, rasterized=True, zorder=3
-    )
+    ax.scatter(*places.T, c=seconds, s=9, cmap=_TIME, vmin=times[0], vmax=times[-1], lw=0, rasterized=True, zorder=3)
 
 
 def _label(ax: Axes, place: np.ndarray, name: str, color: str) -> None:

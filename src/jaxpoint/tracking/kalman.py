@@ -53,8 +53,9 @@ def distance2(state: State, point: Float[Array, "3"], information: Float[Array, 
 def update(state: State, point: Float[Array, "3"], information: Float[Array, "3 3"]) -> State:
     """The state once a point was measured.
 
-    A measurement is a point (m) and its information, the inverse of its covariance (1/m^2). One view knows nothing along
-    its line of sight: its information has rank 2, and the point is any on that line. No information changes nothing.
+    A measurement is a point (m) and its information, the inverse of its covariance (1/m^2). One view knows nothing
+    along its line of sight: its information has rank 2, and the point is any on that line. No information changes
+    nothing.
     Joseph's form keeps the covariance symmetric and positive.
     """
     weight = _weight(state, information)

@@ -34,9 +34,7 @@ class Rays:
     def without(self, taken: Bool[np.ndarray, " M"]) -> Rays:
         """Those that are still free."""
         kept = ~taken
-        return Rays(
-            self.camera[kept], self.candidate[kept], self.origin[kept], self.direction[kept], self.sigma[kept]
-        )
+        return Rays(self.camera[kept], self.candidate[kept], self.origin[kept], self.direction[kept], self.sigma[kept])
 
     @cached_property
     def axes(self) -> Float[np.ndarray, "M 2 3"]:
