@@ -15,8 +15,8 @@ from jaxpoint.config.person import HeadSettings
 from jaxpoint.detect.silhouette import Silhouette
 
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
-CUT = 0.5  # of its width: a head that reaches so widely over the top of the image has no middle
-OUTSIDE = 0.4  # of its width: of a head that reaches farther over a side of the image too little is seen
+CUT = 0.85  # of its width: where the image's top crosses a head so widely, a quarter of it is outside and its place unsure
+OUTSIDE = 0.4  # of its width: of a head that reaches farther over a side of the image the middle is hardly seen
 BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
 OF_AREA = 0.35  # height of a head over the root of a silhouette's area: 0.30 to 0.42 from all sides, arms up or down
 AREA_RANGE = (0.6, 2.0)  # of that height; more where furniture hides much of a person
@@ -45,7 +45,7 @@ class HeadReason(IntEnum):
     TOO_SMALL = 1  # the silhouette is no higher than the smallest head
     NO_SIZE_FITS = 2  # no head between the nearest and the farthest distance fits the silhouette
     UNLIKE = 3  # nothing in its upper part is enough like an ellipse
-    OUT_OF_VIEW = 4  # it reaches over the top of the image
+    OUT_OF_VIEW = 4  # too much of it is beyond the image's border
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ def _judged(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadR
     if head.score < settings.min_score:
         return HeadReason.UNLIKE
     half = settings.aspect * head.height_px / 2
-    hidden = max(half - head.x, head.x + half - silhouette.image_size[0])
-    if hidden > OUTSIDE * 2 * half:
+    beside = max(half - head.x, head.x + half - silhouette.image_size[0])
+    if beside > OUTSIDE * 2 * half:
         return HeadReason.OUT_OF_VIEW
     if silhouette.box[1] > 0:
         return HeadReason.FOUND
