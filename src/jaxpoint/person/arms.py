@@ -20,7 +20,7 @@ from jaxpoint.person.association import Arm, LimbRays, agreeing_views, associate
 from jaxpoint.pointing.axis import LimbAxis, fit_axis
 
 HEAD_M = 0.24  # height of a head
-SPAN = (0.118, 0.208)  # of the stature, behind the tip: wrist at 0.108, elbow at 0.254 (Drillis & Contini)
+SPAN = (0.113, 0.230)  # of the stature, behind the tip: wrist at 0.108, elbow at 0.254 (Drillis & Contini)
 SMALLEST_M, TALLEST_M = 1.45, 2.0  # of standing people
 SEATED_M = 1.65  # stature of who is lower than that
 RIVAL_M = 0.12  # arms stretched out less far by more than this are no rivals of the farthest
@@ -36,7 +36,7 @@ MOST_LIMBS = 12  # long ends of one view that are looked at
 _OUTLINE_WEIGHT = 0.6
 _SETTLED = 1.2
 _OTHER_START = np.deg2rad(4.0)
-_BEYOND_M = 0.015  # slices are cut so far beyond both ends of the span
+_BEYOND_M = 0.01  # slices are cut so far beyond both ends of the span
 
 
 class ArmReason(IntEnum):

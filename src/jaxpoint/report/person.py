@@ -52,7 +52,8 @@ def contact_sheet(
     if not views:
         raise ValueError("A contact sheet needs at least one view; none was given.")
     columns = min(columns, len(views))
-    cells = [_cell(view, width, zoom) for view in views]
+    lines = 2 if any(view.reason for view in views) else 1
+    cells = [_cell(view, width, zoom, lines) for view in views]
     rows = [cells[start : start + columns] for start in range(0, len(cells), columns)]
     return np.concatenate([_row(row, columns, width) for row in rows])
 
@@ -78,7 +79,7 @@ def _row(cells: Sequence[np.ndarray], columns: int, width: int) -> np.ndarray:
     return paper
 
 
-def _cell(view: PersonView, width: int, zoom: bool) -> np.ndarray:
+def _cell(view: PersonView, width: int, zoom: bool, lines: int) -> np.ndarray:
     """One view, drawn at its size in the sheet so that lines are equally thick everywhere, under its text."""
     left, top, wide, high = _part(view) if zoom else (0, 0, view.image.shape[1], view.image.shape[0])
     scale = width / wide
@@ -103,7 +104,7 @@ def _cell(view: PersonView, width: int, zoom: bool) -> np.ndarray:
         if pixel is not None:
             cv2.circle(image, place(pixel), 5, (255, 255, 255), -1, cv2.LINE_AA)
             cv2.circle(image, place(pixel), 4, color, -1, cv2.LINE_AA)
-    return _titled(image, view)
+    return _titled(image, view, lines)
 
 
 def _part(view: PersonView) -> tuple[int, int, int, int]:
@@ -123,11 +124,10 @@ def _part(view: PersonView) -> tuple[int, int, int, int]:
     return int(corner[0]), int(corner[1]), int(size[0]), int(size[1])
 
 
-def _titled(image: np.ndarray, view: PersonView) -> np.ndarray:
-    """The image under a line that says what it is, with the reason in red on a second one where there is any."""
-    lines = [(view.title, _TEXT), *([(view.reason, _BAD)] if view.reason else [])]
-    band = np.full((_BAND * 2, image.shape[1], 3), _PAPER, np.uint8)
-    for row, (text, color) in enumerate(lines):
+def _titled(image: np.ndarray, view: PersonView, lines: int) -> np.ndarray:
+    """The image under a line that says what it is, and one with the reason in red where the sheet has reasons."""
+    band = np.full((_BAND * lines, image.shape[1], 3), _PAPER, np.uint8)
+    for row, (text, color) in enumerate(((view.title, _TEXT), (view.reason, _BAD))[:lines]):
         cv2.putText(band, _fitting(text, image.shape[1] - 4), (2, row * _BAND + 16), _FONT, 0.45, color, 1, cv2.LINE_AA)
     return np.concatenate([band, image])
 

@@ -246,7 +246,7 @@ class Trial:
         if self.swap:
             for part in tracking.parts():
                 part[self.meeting.last + 1 :, came] = part[self.meeting.last + 1 :, came[::-1]]
-        place = np.ix_(np.arange(self.meeting.first, self.meeting.last + 1), came)
+        place = np.arange(self.meeting.first, self.meeting.last + 1)[:, None], np.array(came)
         candidates = self.candidates[self.inside]
         tracking.points[place], tracking.informations[place] = (
             self.points[self.inside],

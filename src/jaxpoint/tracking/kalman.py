@@ -14,13 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
+from jaxpoint.geometry.arrays import AnyArray
 
 
 class State(eqx.Module):
     """Where a point is and how it moves: position (m), then velocity (m/s)."""
 
-    mean: Float[Array, "*batch 6"]
-    covariance: Float[Array, "*batch 6 6"]
+    mean: Float[AnyArray, "*batch 6"]
+    covariance: Float[AnyArray, "*batch 6 6"]
 
 
 class Filtered(NamedTuple):

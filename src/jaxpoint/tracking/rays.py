@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.compilation import jit
+from jaxpoint.compilation import jit_once
 
 MIN_DEPTH = 0.2  # m; nobody is nearer to a camera
 
@@ -54,7 +54,7 @@ class Rays:
         return np.einsum("hmi,mji->hmj", offset, self.axes), along, reach * self.sigma
 
 
-@jit
+@jit_once
 def look(
     cameras: Camera, pixels: Float[Array, "F C K 2"], sigma_px: Float[Array, "F C K"]
 ) -> tuple[Float[Array, "C 3"], Float[Array, "F C K 3"], Float[Array, "F C K"], Bool[Array, "F C K"]]:

@@ -123,6 +123,6 @@ def _hair(person: Person, ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
 def _features(ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
     """Darker eyes, brows and mouth."""
     x, y, z = ball.T
-    eye = np.exp(-(((np.abs(y) - 0.40) / 0.17) ** 2) - ((z - 0.06) / 0.12) ** 2)
-    mouth = 0.5 * np.exp(-((y / 0.22) ** 2) - ((z + 0.55) / 0.07) ** 2)
+    eye = np.exp(-(((np.abs(y) - 0.40) / 0.12) ** 2) - ((z - 0.06) / 0.09) ** 2)
+    mouth = 0.4 * np.exp(-((y / 0.22) ** 2) - ((z + 0.55) / 0.07) ** 2)
     return 1 - 0.7 * np.clip((eye + mouth) * (x > 0), 0.0, 1.0)
