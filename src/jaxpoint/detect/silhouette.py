@@ -58,6 +58,11 @@ class Silhouette:
         x, y, width, _ = self.box
         return x == 0 or y == 0 or x + width == self.image_size[0]
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether it touches any side of the image."""
+        return self.at_border or self.box[1] + self.box[3] == self.image_size[1]
+
     def full(self) -> Bool[np.ndarray, "H W"]:
         """The mask in an image of the full size."""
         x, y, width, height = self.box
