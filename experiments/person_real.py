@@ -377,7 +377,8 @@ def hands(data: Path, out: Path) -> Iterator[Row]:
             f"skin {kind}: nearer end of the region's axis to the index fingertip, in hand sizes; within a quarter",
             f"median {np.median(tip):.2f}; {(tip < 0.25).sum()}",
         )
-    sheet(out / "hands.png", [hand_drawn(image, points) for image, points in labelled], 8)
+    by_shape = sorted(labelled, key=lambda one: one[0].shape[0] / one[0].shape[1])
+    sheet(out / "hands.png", [hand_drawn(image, points) for image, points in by_shape], 4)
 
 
 def read_hands(folder: Path) -> Iterator[tuple[Image, Float[np.ndarray, "K 2"]]]:
