@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import cv2
 import jax
@@ -18,14 +19,14 @@ from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.detect.motion import learn_threshold, motion_between
 from jaxpoint.detect.person import PersonWatch
 from jaxpoint.detect.silhouette import foreground, learn_background, silhouettes
-from jaxpoint.detect.thesis import thesis_finger, thesis_forearm
+from jaxpoint.detect.thesis import thesis_forearm
 from jaxpoint.person.arms import ArmReason, PointingArm
 from jaxpoint.person.following import follow
 from jaxpoint.person.views import watch
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
 
-LEAD = 5  # frames before the hold: enough for a head track to be confirmed
+LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 COVERED = 0.3  # of the visible forearm and hand that a right region must hold
 ARM = {
     "left": (Part.LEFT_UPPER_ARM, Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),
@@ -106,16 +107,15 @@ def score_session(
         arms = _arms_of(following, session, gesture, moments)
         for moment in held:
             for camera in cameras:
-                views.append(
-                    _view_score(session, gesture, shown[moment, camera], arms.get(moment), rooms[camera][0], person, spent)
-                )
+                frame, arm = shown[moment, camera], arms.get(moment)
+                views.append(_view_score(session, gesture, frame, arm, rooms[camera][0], person, spent))
         scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, arm_ms))
     return views, scores
 
 
 def _learnt(session: SimulatedSession, camera: int, person: PersonSettings):
     images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
-    counts = [motion_between(a, b, person.motion).edges for a, b in zip(images, images[1:])]
+    counts = [motion_between(a, b, person.motion).edges for a, b in pairwise(images)]
     return learn_background(images, person.background), learn_threshold(counts, person.motion)
 
 
@@ -199,9 +199,7 @@ def _mask_of(region, shape) -> np.ndarray | None:
 def _gesture_score(session, gesture, held, arms, following, moments, views, arm_ms) -> GestureScore:
     who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
     own = [v for v in views if v.gesture == gesture.number and v.seed == session.seed]
-    usable = [
-        sum(v.visible >= 0.6 and v.angle_deg > 45 for v in own if v.frame == moment) for moment in held
-    ]
+    usable = [sum(v.visible >= 0.6 and v.angle_deg > 45 for v in own if v.frame == moment) for moment in held]
     axes, true_axes, tips, heads = [], [], [], []
     tracked = following.tracking.heads
     for moment in held:

@@ -22,12 +22,13 @@ LAYERS = (
     ("landmarks", "metrics"),
     ("validation",),
     ("detect", "io", "report", "simulate"),
+    ("person",),
     ("doctor", "runs"),
     ("commands",),
     ("cli",),
 )
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
-USES_OPENCV = {"detect", "io", "report", "simulate"}
+USES_OPENCV = {"detect", "io", "person", "report", "simulate"}
 
 
 def modules() -> list[Path]:

@@ -37,7 +37,7 @@ def test_paths_count_from_the_file_and_are_written_absolute(tmp_path, monkeypatc
     ("text", "message"),
     [
         ("[calibrate.lens]\ndistorsion = 'none'", "unknown key 'calibrate.lens.distorsion'; did you mean 'distortion'"),
-        ("[colour]\nx = 1", "unknown key 'colour'; known here: input, detect, calibrate"),
+        ("[colour]\nx = 1", "unknown key 'colour'; known here: input, detect, track"),
         ("[calibrate]\nheld_out = 2.0", "'calibrate.held_out' cannot be used: Expected `float` <= 1.0"),
         ("[calibrate]\nmax_mean_px = nan", "'calibrate.max_mean_px' cannot be used"),
         ("[calibrate]\nseed = 'one'", "'calibrate.seed' cannot be used: Expected `int`, got `str`"),

@@ -41,7 +41,8 @@ GROUPS = {"detect": "Find something in the images of every camera."}
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 
 In this order: detect, check, calibrate, align, validate; diff tells later whether a camera was touched. Without a
-recording: jaxpoint demo. More on each command and its flags: jaxpoint COMMAND --help
+recording: jaxpoint demo, and jaxpoint simulate for people who point in a room whose truth is known. More on each
+command and its flags: jaxpoint COMMAND --help
 """
 STYLE = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 ENVIRONMENT = MissingDependencyError.exit_code

@@ -106,8 +106,8 @@ def test_adaptive_backgrounds_find_a_walker(drawn, scene, method):
 def test_one_who_never_leaves_is_noticed_and_one_who_walks_is_not(drawn, scene):
     empty, _, _ = scene
     rng = np.random.default_rng(7)
-    swaying = [drawn.Person(250 + 8 * np.sin(0.7 * i), 70.0, arm=0.3 * np.sin(0.5 * i)) for i in range(40)]
-    walking = [drawn.Person(40.0 + 14 * i, 70.0) for i in range(40)]
+    swaying = [drawn.Person(250 + 8 * np.sin(0.7 * i), 70.0, arm=0.3 * np.sin(0.5 * i)) for i in range(30)]
+    walking = [drawn.Person(40.0 + 18 * i, 70.0) for i in range(30)]
     stays, walks = (
         never_clears([drawn.exposed(who.drawn(empty), rng) for who in people], SETTINGS)
         for people in (swaying, walking)

@@ -58,7 +58,7 @@ def test_nobody_is_a_table_without_lines(heads, tmp_path):
 
 
 def test_a_name_that_would_be_cut_is_refused(heads, tmp_path):
-    with pytest.raises(ValueError, match="'a|b' cannot be written"):
+    with pytest.raises(ValueError, match=r"cannot be written to heads\.csv"):
         save_heads(tmp_path / "heads.csv", replace(heads, cameras=("a|b", "c", "d")))
     assert list(tmp_path.iterdir()) == []
 

@@ -50,19 +50,20 @@ def capsule_person(place, forearm, upper, *, sleeve=1.0, hand_bend=0.0, bare=Fal
     hand = np.cos(hand_bend) * forearm + np.sin(hand_bend) * np.cross(side, forearm)
     knuckle, tip = wrist + 0.09 * hand, wrist + 0.19 * hand
     other = np.array([x, y + 0.2, 1.42])
-    other_elbow, other_wrist = other + [0.02, 0.06, -0.30], other + [0.06, 0.08, -0.55]
+    other_elbow, other_wrist = other + np.array([0.02, 0.06, -0.30]), other + np.array([0.06, 0.08, -0.55])
+    hip = np.array([0.0, 0.09, 0.0])
     head, neck, pelvis = np.array([x, y, 1.62]), np.array([x, y, 1.45]), np.array([x, y, 0.95])
     cut = shoulder + sleeve * (elbow - shoulder)
     trunk = Pixel.SKIN if bare else Pixel.PERSON
     capsules = (
         Capsule(neck, pelvis, 0.13, 0.14, trunk),
         Capsule(shoulder, other, 0.06, 0.06, trunk),
-        Capsule(pelvis + [0, 0.09, 0], np.array([x, y + 0.1, 0.05]), 0.08, 0.05, Pixel.PERSON),
-        Capsule(pelvis - [0, 0.09, 0], np.array([x, y - 0.1, 0.05]), 0.08, 0.05, Pixel.PERSON),
-        Capsule(head - [0, 0, 0.04], head + [0, 0, 0.04], 0.075, 0.08, Pixel.SKIN),
+        Capsule(pelvis + hip, np.array([x, y + 0.1, 0.05]), 0.08, 0.05, Pixel.PERSON),
+        Capsule(pelvis - hip, np.array([x, y - 0.1, 0.05]), 0.08, 0.05, Pixel.PERSON),
+        Capsule(head - 0.04 * up, head + 0.04 * up, 0.075, 0.08, Pixel.SKIN),
         Capsule(other, other_elbow, 0.05, 0.045, Pixel.PERSON),
         Capsule(other_elbow, other_wrist, 0.042, 0.028, Pixel.SKIN),
-        Capsule(other_wrist, other_wrist + [0.02, 0, -0.15], 0.03, 0.015, Pixel.SKIN),
+        Capsule(other_wrist, other_wrist + np.array([0.02, 0.0, -0.15]), 0.03, 0.015, Pixel.SKIN),
         Capsule(shoulder, cut, 0.05, 0.045, Pixel.PERSON),
         Capsule(cut, elbow, 0.045, 0.042, Pixel.SKIN),
         Capsule(elbow, wrist, 0.042, 0.028, Pixel.SKIN),

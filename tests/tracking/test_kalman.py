@@ -149,7 +149,9 @@ def test_information_of_a_view_is_that_of_a_point_far_away_along_it():
     axis = np.linalg.eigh(informations[frame])[1][:, 0]
     shifted = points.copy()
     shifted[frame] += 3.0 * axis
-    np.testing.assert_allclose(run(TIMES, shifted, informations)[1].mean, run(TIMES, points, informations)[1].mean, atol=1e-8)
+    np.testing.assert_allclose(
+        run(TIMES, shifted, informations)[1].mean, run(TIMES, points, informations)[1].mean, atol=1e-8
+    )
     nearly = informations.copy()
     nearly[frame] = np.linalg.inv(
         np.linalg.inv(informations[frame] + np.outer(axis, axis)) + (1e4**2 - 1) * np.outer(axis, axis)

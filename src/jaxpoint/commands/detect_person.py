@@ -42,8 +42,11 @@ class DetectPerson(SeededOptions):
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the tables; parquet needs pyarrow."""
-    cache: bool = True
-    """Keep what is found, and use what was kept."""
+    cache: Path | None = None
+    """Folder in which what is found in videos is kept, by their content and the settings; by default the user's cache
+    folder."""
+    anew: bool = False
+    """Look through the videos again, whatever was kept."""
     workers: Count = 0
     """Processes used, one camera each; 0 takes one per core."""
     settings: Annotated[PersonSettings, Inline] = field(default_factory=PersonSettings)
@@ -67,9 +70,11 @@ class DetectPerson(SeededOptions):
         check_out(out, self.force)
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
-        kept = (self.runtime.detection_cache or default_cache()) if self.cache else None
+        kept = self.cache or default_cache()
         with console.progress() as progress:
-            views = watch_session(session, self.settings, cache=kept, workers=self.workers, progress=progress)
+            views = watch_session(
+                session, self.settings, cache=kept, anew=self.anew, workers=self.workers, progress=progress
+            )
             following = None
             if session.rig is not None and len(session.names) > 1:
                 following = follow(

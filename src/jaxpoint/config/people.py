@@ -51,7 +51,7 @@ class LooksSettings:
     build: Uniform = Uniform(0.90, 1.15)
     """Girth of trunk and limbs over that of an average build."""
     skin_tone: Uniform = Uniform(0.0, 1.0)
-    """0 is the darkest, 1 the lightest skin of `simulate.people.skin`."""
+    """0 is the darkest, 1 the lightest skin of `simulate.people.colours`."""
     sleeves: SleeveShares = field(default_factory=SleeveShares)
     clothes_like_skin: Fraction = 0.22
     """Share of people whose shirt or trousers are beige, pink or brown."""
@@ -72,9 +72,9 @@ class AccurateSettings:
 
     elbow_flexion_deg: Normal = Normal(12.0, 7.0, 3.0, 30.0)
     """By how much the elbow is bent; a person's own mean."""
-    swivel_deg: Normal = Normal(75.0, 15.0, 30.0, 110.0)
+    swivel_deg: Normal = Normal(60.0, 15.0, 20.0, 100.0)
     """How far the elbow stands out from straight below the arm; a person's own."""
-    aim_error_deg: Normal = Normal(0.0, 0.05, -0.15, 0.15)
+    aim_error_deg: Normal = Normal(0.0, 0.03, -0.07, 0.07)
     """By how much the fingertip leaves the line from the eye to the target, per axis and trial."""
     finger_error_deg: Normal = Normal(0.0, 4.0, -10.0, 10.0)
     """By how much the finger itself leaves that line, per axis; a person's own mean."""

@@ -173,9 +173,6 @@ class DetectSettings:
 class RuntimeSettings:
     """How the computer is used; no result depends on it."""
 
-    detection_cache: Path | None = None
-    """Folder in which what was found of people in videos is kept, by content and settings; by default the user's
-    cache folder."""
     compilation_cache: Path | None = None
     """Folder in which JAX keeps compiled programs, so that the next run starts sooner; off by default."""
 

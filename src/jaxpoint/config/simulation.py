@@ -109,9 +109,9 @@ class WaveSettings:
 
     frames: Count = 300
     frames_per_second: Positive = 25.0
-    darkness: Uniform = Uniform(0.004, 0.015)
+    darkness: Uniform = Uniform(0.001, 0.004)
     """Light left in the room, over the light of the session."""
-    led_radius_m: Uniform = Uniform(0.008, 0.012)
+    led_radius_m: Uniform = Uniform(0.007, 0.010)
     """Radius of the matt ball around the LED."""
     reflections: Fraction = 1.0
     """Strength of the mirror images in screens, window and table tops."""

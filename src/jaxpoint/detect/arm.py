@@ -22,6 +22,8 @@ _LIMB_M = 0.15  # thicker than an arm, thinner than a trunk
 CORRIDOR_M = 0.09  # on either side of a promised axis
 LIMB_WIDTH_M = (0.035, 0.13)  # of a forearm, clothes included
 TAPER = 0.2  # by which a width may miss that of an evenly widening forearm
+HAND_M = 0.36  # beyond a place before the wrist, in which the tip is looked for
+HAND_HALF_M = 0.11  # on either side of the axis: a wrist may be bent
 _OPENING_PX = 9  # the trunk is found at the scale at which a limb is this wide
 
 
@@ -139,6 +141,58 @@ def _tapers(
         expected = rows @ np.linalg.solve(normal, rows.T @ (weight * width))
         weight = usable / (1 + ((width - expected) / (0.07 * np.maximum(expected, low))) ** 2)
     return usable & (np.abs(width - expected) <= TAPER * np.maximum(expected, low))
+
+
+def find_tips(
+    crop: Crop,
+    start: Float[np.ndarray, "2"],
+    ahead: Float[np.ndarray, "2"],
+    pixels_a_metre: float,
+) -> list[Float[np.ndarray, "2"]]:
+    """Where the limb may end beyond a place on its axis: by the skin, and by the outline (a capped finger is no skin).
+
+    Args:
+        crop: the person's pixels.
+        start: a place on the axis before the wrist, px.
+        ahead: unit vector along the axis towards the tip.
+        pixels_a_metre: how large the person appears there.
+    """
+    length, half = HAND_M * pixels_a_metre, HAND_HALF_M * pixels_a_metre
+    corner = np.array(crop.corner)
+    ends = start + np.array([[0.0, -half], [0.0, half], [length, -half], [length, half]]) @ np.array(
+        [ahead, [-ahead[1], ahead[0]]]
+    )
+    low = np.maximum(np.floor(ends.min(axis=0)).astype(int) - corner, 0)
+    high = np.minimum(np.ceil(ends.max(axis=0)).astype(int) + 1 - corner, crop.labels.shape[::-1])
+    if (high - low < 3).any():
+        return []
+    part = crop.labels[low[1] : high[1], low[0] : high[0]]
+    rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
+    offset = np.stack([columns, rows], axis=-1) + corner - start
+    along, across = offset @ ahead, offset @ np.array([-ahead[1], ahead[0]])
+    room = (along > -1) & (along < length) & (np.abs(across) < half)
+    tips = []
+    for value in (Pixel.SKIN, Pixel.PERSON):
+        _, labels = cv2.connectedComponents(((part >= value) & room).astype(np.uint8), connectivity=8)
+        near = (along < 0.03 * pixels_a_metre + 2) & (np.abs(across) < 0.03 * pixels_a_metre + 1) & (labels > 0)
+        if not near.any():
+            continue
+        own = labels == np.bincount(labels[near]).argmax()
+        tip = _end_of(offset[own])
+        if tip is not None and tip @ ahead < length - 1.5:
+            tips.append(start + tip)
+    return tips
+
+
+def _end_of(offsets: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"] | None:
+    """The far end of a hand: along the direction of its farthest pixel, half a pixel beyond the last ones."""
+    distance = np.hypot(offsets[:, 0], offsets[:, 1])
+    far = int(distance.argmax())
+    if distance[far] < 2:
+        return None
+    direction = offsets[far] / distance[far]
+    reach = offsets @ direction
+    return offsets[reach > reach.max() - 1.5].mean(axis=0) + 0.5 * direction
 
 
 def _edges(

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -14,7 +13,15 @@ from jaxpoint.detect.arm import Crop, Pixel
 from jaxpoint.detect.colour import Image, is_grey
 from jaxpoint.detect.head import Head, find_head
 from jaxpoint.detect.motion import motion_between
-from jaxpoint.detect.silhouette import AdaptiveBackground, RoomBackground, Silhouette, closed, foreground, silhouettes
+from jaxpoint.detect.silhouette import (
+    AdaptiveBackground,
+    RoomBackground,
+    Silhouette,
+    closed,
+    foreground,
+    sharpened,
+    silhouettes,
+)
 from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model
 
 DARK = 16.0  # grey levels: brighter than this are fewer than 1 % of the pixels of an image without light
@@ -22,7 +29,8 @@ BLOWN = 0.5  # part of the pixels that are saturated in an image with too much
 SATURATED = 250
 MARGIN = 0.35  # of a silhouette's height, around it: an arm may be cut off from the trunk
 GAP = 0.2  # of a head's height, the widest gap in a limb that is closed
-SEAM_PX = 3  # skin this far outside the foreground still belongs to it: a fingertip is thin
+SEAM_PX = 3  # on either side of an outline, within which it is decided at the image's own size
+SEAM_LEVELS = 18.0  # grey levels, sum of the differences in Y, Cr and Cb: foreground at that size
 
 
 class FrameReason(IntEnum):
@@ -76,6 +84,7 @@ class PersonWatch:
             settings: of all stages.
             model: of skin; by default the one that the settings name.
         """
+        self._room = None if background is None else background.whole
         self._background = background if background is not None else AdaptiveBackground(settings.background)
         self._threshold = motion_threshold
         self._focal = focal_px
@@ -128,11 +137,17 @@ class PersonWatch:
     def _sighting(self, image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, grey: bool) -> Sighting:
         head = find_head(silhouette, self._focal, self._settings.head)
         gap = int(GAP * head.height_px) if head.found else 0
-        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, None if grey else self._model, gap))
+        model = None if grey else self._model
+        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, model, self._room, gap))
 
 
 def cut_crop(
-    image: Image, mask: UInt8[np.ndarray, "H W"], silhouette: Silhouette, model: SkinModel | None, gap_px: int = 0
+    image: Image,
+    mask: UInt8[np.ndarray, "H W"],
+    silhouette: Silhouette,
+    model: SkinModel | None,
+    room: Image | None = None,
+    gap_px: int = 0,
 ) -> Crop:
     """The surroundings of a silhouette: which pixels are foreground, and which of them skin.
 
@@ -141,6 +156,7 @@ def cut_crop(
         mask: its foreground.
         silhouette: of the person.
         model: of skin; None where the image has no colour.
+        room: the image without people, by which outlines are sharpened; None where it is not known.
         gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
     """
     x, y, width, height = silhouette.box
@@ -151,11 +167,12 @@ def cut_crop(
     own[y - top : y - top + height, x - left : x - left + width] |= silhouette.mask.view(np.uint8) * np.uint8(255)
     if gap_px > 1:
         own = closed(own, gap_px | 1)
+    part = np.ascontiguousarray(image[top:bottom, left:right])
+    if room is not None:
+        own = sharpened(own, part, np.ascontiguousarray(room[top:bottom, left:right]), SEAM_LEVELS, SEAM_PX)
     labels = (own > 0).astype(np.uint8) * np.uint8(Pixel.PERSON)
     if model is not None:
-        near = cv2.dilate(own, np.ones((2 * SEAM_PX + 1, 2 * SEAM_PX + 1), np.uint8))
-        skin = skin_mask(np.ascontiguousarray(image[top:bottom, left:right]), model) & (near > 0)
-        labels[skin] = Pixel.SKIN
+        labels[skin_mask(part, model) & (own > 0)] = Pixel.SKIN
     return Crop(labels, (left, top), silhouette.image_size)
 
 

@@ -20,13 +20,14 @@ GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
-SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
-GHOST_WIDTH = 320  # px, of the images in which `never_clears` looks
+WHOLE_IMAGES = 9  # from which the background at full size is taken
+GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
 GHOST_IMAGES = 30  # that it looks at
 GHOST_REGION = 0.001  # of the image: smaller regions are noise
 GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
 GHOST_RATIO = 1.5  # of the stronger edge to the weaker one
 MIN_OUTLINE = 200  # px: a shorter outline in all images together tells nothing
+SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,7 @@ class RoomBackground:
     weak: UInt8[np.ndarray, "h w"]  # the same for pixels next to those above it
     shrink: int
     size: tuple[int, int]  # px, width and height of the whole image
+    whole: UInt8[np.ndarray, "H W 3"]  # blue, green, red at full size: the median of a few images
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,13 @@ def learn_background(images: Sequence[Image], settings: BackgroundSettings) -> R
         weak=_levels(np.maximum(settings.weak_threshold, deviations)),
         shrink=shrink,
         size=(images[0].shape[1], images[0].shape[0]),
+        whole=_median([images[i] for i in chosen[:: max(1, len(chosen) // WHOLE_IMAGES)]]),
     )
+
+
+def _median(images: Sequence[Image]) -> Image:
+    middle = (len(images) - 1) // 2
+    return np.partition(np.stack(images), middle, axis=0)[middle]
 
 
 def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
@@ -115,13 +123,13 @@ def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float
     the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
     holds somebody. Of one who does not move at all nothing can be known.
     """
-    small = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
-    background = learn_background(images, small)
+    settings = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
+    background = learn_background(images, settings)
     room = _edges(background.level)
     left = real = 0
     for i in np.unique(np.linspace(0, len(images) - 1, GHOST_IMAGES).round().astype(int)):
         seen = _edges(shrunk(images[i], background.shrink))
-        outline = _outline(foreground(images[i], background, small), background.level.shape)
+        outline = _outline(foreground(images[i], background, settings), background.level.shape)
         ours, others = seen[outline], room[outline]
         clear = np.maximum(ours, others) > GHOST_EDGE
         left += np.count_nonzero(clear & (others > GHOST_RATIO * ours))
@@ -145,19 +153,54 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     difference = cv2.absdiff(colour, background.colour)
     y, cr, cb = cv2.split(difference)
     total = cv2.add(cv2.add(y, cr), cb)  # saturates at 255
-    weak = cv2.compare(total, background.weak if settings.reach_px else background.threshold, cv2.CMP_GT)
-    if settings.shadows:
-        _remove_shadows(weak, colour, background.colour, settings)
-    mask = cv2.bitwise_and(cv2.compare(total, background.threshold, cv2.CMP_GT), weak)
-    return _enlarged(_grown(mask, weak, settings.reach_px), background.size)
+    sure = cv2.compare(total, background.threshold, cv2.CMP_GT)
+    x, y, width, height = cv2.boundingRect(sure)
+    reach = settings.reach_px
+    part = np.s_[max(y - reach, 0) : y + height + reach, max(x - reach, 0) : x + width + reach]
+    mask = np.zeros_like(sure)
+    if width:
+        weak = cv2.compare(total[part], background.weak[part], cv2.CMP_GT)
+        if settings.shadows:
+            weak = cv2.bitwise_and(weak, _unshaded(colour[part], background.colour[part], settings))
+        mask[part] = _grown(cv2.bitwise_and(sure[part], weak), weak, reach)
+    return _enlarged(mask, background.size)
 
 
 def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
     """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
     square = np.ones((3, 3), np.uint8)
     for _ in range(reach):
-        sure = cv2.bitwise_or(cv2.bitwise_and(cv2.dilate(sure, square), weak), sure)
+        sure = cv2.bitwise_and(cv2.dilate(sure, square), weak)
     return sure
+
+
+def sharpened(
+    mask: UInt8[np.ndarray, "h w"],
+    image: Image,
+    room: Image,
+    threshold: float,
+    reach: int,
+) -> UInt8[np.ndarray, "h w"]:
+    """The mask with its outline decided anew at the image's own size, within `reach` px on either side.
+
+    Args:
+        mask: foreground, made at a smaller size; a crop.
+        image: the same crop of the image.
+        room: the same crop of the background, `RoomBackground.whole`.
+        threshold: least sum of differences in Y, Cr and Cb.
+        reach: px.
+    """
+    square = np.ones((3, 3), np.uint8)
+    outer, inner = cv2.dilate(mask, square, iterations=reach), cv2.erode(mask, square, iterations=reach)
+    outside = outer[::4, ::4] == 0
+    if np.count_nonzero(outside) >= MIN_GAIN_PIXELS:
+        seen, wanted = image[::4, ::4][outside].astype(np.float32), room[::4, ::4][outside].astype(np.float32)
+        image = scaled(image, np.clip((wanted.mean(axis=0) + 1) / (seen.mean(axis=0) + 1), 1 / MAX_GAIN, MAX_GAIN))
+    y, cr, cb = cv2.split(
+        cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
+    )
+    differs = cv2.compare(cv2.add(cv2.add(y, cr), cb), threshold, cv2.CMP_GT)
+    return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
 
 
 class AdaptiveBackground:
@@ -268,22 +311,15 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
     return scaled(image, gain)
 
 
-def _remove_shadows(
-    mask: UInt8[np.ndarray, "h w"],
-    colour: UInt8[np.ndarray, "h w 3"],
-    room: UInt8[np.ndarray, "h w 3"],
-    settings: BackgroundSettings,
-) -> None:
-    """Clear what is darker than the room by a bounded factor, of its colour and of its texture. Changes `mask`.
+def _unshaded(
+    colour: UInt8[np.ndarray, "h w 3"], room: UInt8[np.ndarray, "h w 3"], settings: BackgroundSettings
+) -> UInt8[np.ndarray, "h w"]:
+    """255 except where the image is the room, darker by a bounded and even factor and of its colour (Y, Cr, Cb).
 
     The factor of a shadow is even; that of an arm before planks of its own colour holds the planks' pattern.
     """
-    x, y, width, height = cv2.boundingRect(mask)
-    if not width:
-        return
-    part = np.s_[y : y + height, x : x + width]
-    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour[part]))
-    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room[part]))
+    light, cr, cb = (plane.astype(np.float32) for plane in cv2.split(colour))
+    room_light, room_cr, room_cb = (plane.astype(np.float32) for plane in cv2.split(room))
     factor = light / np.maximum(room_light, 1)
     # A colour fades towards grey (128) as it darkens.
     faded = np.abs(cr - 128 - factor * (room_cr - 128)) + np.abs(cb - 128 - factor * (room_cb - 128))
@@ -291,7 +327,7 @@ def _remove_shadows(
     mean = cv2.blur(factor, (SHADOW_PATCH, SHADOW_PATCH))
     variance = cv2.blur(factor * factor, (SHADOW_PATCH, SHADOW_PATCH)) - mean * mean
     shadow &= variance <= settings.shadow_texture**2
-    mask[part][shadow] = 0
+    return np.where(shadow, np.uint8(0), np.uint8(255))
 
 
 def _edges(small: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w"]:

@@ -1,8 +1,8 @@
 """Head tracks in files: `heads.csv`, one line for each person in each frame.
 
 Columns `frame,time,person,x_m,y_m,z_m,sigma_m,views,status`: `sigma_m` is the standard deviation in the worst
-direction, `views` the names of the cameras that measured the head, joined by `|`, `status` in words (`REASONS`). Where a
-person is not in the room there is no line; frames with nobody have none at all.
+direction, `views` the names of the cameras that measured the head, joined by `|`, `status` in words (`REASONS`). Where
+a person is not in the room there is no line; frames with nobody have none at all.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import io
 
 import numpy as np
 
-from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, natural_key, read_table, read_text, replacing
 from jaxpoint.tracking.result import REASONS, HeadTracks, Status
 

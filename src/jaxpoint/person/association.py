@@ -16,6 +16,7 @@ from jaxpoint.detect.arm import SLICE_M, SLICES
 TIP_GAP_M = 0.07  # between the tips of two views
 PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
+AXIS_TO_TIP_M = 0.08  # a bent wrist carries the tip this far from the forearm's axis
 AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
 ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
 SHOULDER_BELOW_M = 0.28  # under the centre of the head
@@ -91,6 +92,109 @@ def stretch(arm: Arm, head: Float[np.ndarray, "3"]) -> float:
     shoulder = head - [0.0, 0.0, SHOULDER_BELOW_M]
     off = arm.tip - shoulder
     return float(np.hypot(off[0], off[1]) + max(0.0, off[2]))
+
+
+def common_point(
+    origins: Float[np.ndarray, "n 3"],
+    rays: Float[np.ndarray, "n 3"],
+    views: Int[np.ndarray, " n"],
+    ahead: Float[np.ndarray, "3"],
+    within_m: float = 0.02,
+) -> tuple[Float[np.ndarray, "3"], float, list[int]] | None:
+    """Where candidates of several views meet, one a view; of places with as many views the one farthest ahead.
+
+    Args:
+        origins: camera centres, m.
+        rays: unit, through the candidates.
+        views: of each candidate.
+        ahead: unit direction in which a candidate that reaches farther is the better one.
+        within_m: distance of a ray from the place that supports it.
+
+    Returns:
+        The place (m), the rms distance of its rays (m), and which candidates support it; None where no two do.
+    """
+    i, j = np.triu_indices(len(views), 1)
+    i, j = (index[views[i] != views[j]] for index in (i, j))
+    points, gap, front = _meet(origins[i], rays[i], origins[j], rays[j])
+    points = points[front & (gap < 2 * within_m)]
+    if not len(points):
+        return None
+    off = points[:, None] - origins[None]
+    along = np.einsum("hni,ni->hn", off, rays)
+    distance = np.linalg.norm(off - along[..., None] * rays, axis=2)
+    names = np.unique(views)
+    nearest = np.stack([np.where(views == v, distance, np.inf).min(axis=1) for v in names], axis=1)
+    support = (nearest < within_m).sum(axis=1)
+    able = support >= max(2, support.max() - 1)
+    best = int(np.where(able, points @ ahead - np.minimum(nearest, within_m).mean(axis=1), -np.inf).argmax())
+    own = [np.where(views == v, distance[best], np.inf).argmin() for v, d in zip(names, nearest[best]) if d < within_m]
+    point, spread = _nearest_point(origins[own], rays[own], np.ones(len(own)))
+    return point, spread, [int(k) for k in own]
+
+
+def agreeing_views(
+    origins: Float[np.ndarray, "C 3"],
+    rays: Float[np.ndarray, "C S 3"],
+    held: Bool[np.ndarray, "C S"],
+    focal_over_sigma: Float[np.ndarray, " C"],
+    tip: Float[np.ndarray, "3"],
+    ahead: Float[np.ndarray, "3"],
+    within: float,
+) -> tuple[Bool[np.ndarray, " C"], Float[np.ndarray, "3"]] | None:
+    """The most views whose slices lie on one axis, and its direction: every two views propose one, all judge it.
+
+    Args:
+        origins: camera centres, m.
+        rays: unit, through the middles of slices.
+        held: which slices there are; views without any have no say.
+        focal_over_sigma: by which an angle becomes errors of a slice.
+        tip: of the limb, near which the axis passes, m.
+        ahead: rough direction towards the tip.
+        within: rms in such errors up to which a view agrees.
+
+    Returns:
+        Which views agree, and the direction; None where no two do.
+    """
+    views = np.flatnonzero(held.any(axis=1))
+    if len(views) < 2:
+        return None
+    moments = np.einsum("cs,csi,csj->cij", held[views].astype(float), rays[views], rays[views])
+    normal = np.linalg.eigh(moments)[1][:, :, 0]
+    i, j = np.triu_indices(len(views), 1)
+    axis = np.cross(normal[i], normal[j])
+    sine = np.linalg.norm(axis, axis=1)
+    axis = axis / np.maximum(sine, 1e-12)[:, None]
+    axis = axis * np.where(axis @ ahead < 0, -1.0, 1.0)[:, None]
+    # The point of both planes that is nearest to the tip along the planes' normals.
+    rows = np.stack([normal[i], normal[j], axis], axis=1)
+    offsets = np.stack([(normal[k] * origins[views][k]).sum(axis=1) for k in (i, j)] + [axis @ tip], axis=1)
+    wide = sine > np.sin(PLANE_ANGLE)
+    if not wide.any():
+        return None
+    rows, offsets, axis = rows[wide], offsets[wide], axis[wide]
+    points = np.linalg.solve(rows, offsets[..., None])[..., 0]
+    across = _unit(np.cross(points[:, None] - origins[views][None], axis[:, None]))  # pairs, views
+    off = np.einsum("pci,csi->pcs", across, rays[views]) * focal_over_sigma[views][:, None]
+    count = held[views].sum(axis=1)
+    rms = np.sqrt((np.where(held[views], off, 0.0) ** 2).sum(axis=2) / count)
+    agrees = rms <= within
+    near = np.linalg.norm(points - tip, axis=1) < AXIS_TO_TIP_M
+    score = np.where(near, agrees.sum(axis=1), 0) + 0.9 / (1 + np.where(agrees, rms, 0.0).mean(axis=1))
+    best = int(score.argmax())
+    if not near[best] or agrees[best].sum() < 2:
+        return None
+    chosen = np.zeros(len(origins), bool)
+    chosen[views[agrees[best]]] = True
+    return chosen, axis[best]
+
+
+def _nearest_point(origins, rays, weight) -> tuple[Float[np.ndarray, "3"], float]:
+    """The point nearest to rays, and its rms distance from them, m."""
+    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
+    matrix = np.einsum("n,nij->ij", weight, across)
+    point = np.linalg.solve(matrix + 1e-9 * np.eye(3), np.einsum("n,nij,nj->i", weight, across, origins))
+    off = np.einsum("nij,nj->ni", across, point - origins)
+    return point, float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
 def _planes(limbs: LimbRays) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
@@ -189,17 +293,12 @@ def _arm(limbs, normal, members, direction, fit) -> Arm:
     """The limb of the members: its tip nearest to their rays, its axis nearest to their planes."""
     index = np.array(members)
     weight = fit[index]
-    rays = limbs.tip[index]
-    across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    matrix = np.einsum("n,nij->ij", weight, across)
-    tip = np.linalg.solve(matrix + 1e-9 * np.eye(3), np.einsum("n,nij,nj->i", weight, across, limbs.origin[index]))
+    tip, spread = _nearest_point(limbs.origin[index], limbs.tip[index], weight)
     axis = direction
     for _ in range(6):  # planes that miss the axis lose their say
         trusted = weight / (1 + (normal[index] @ axis / np.sin(AXIS_SCALE)) ** 2)
         _, vectors = np.linalg.eigh(np.einsum("n,ni,nj->ij", trusted, normal[index], normal[index]))
         axis = vectors[:, 0] if vectors[:, 0] @ direction > 0 else -vectors[:, 0]
-    off = np.einsum("nij,nj->ni", across, tip - limbs.origin[index])
-    spread = float(np.sqrt((off**2).sum(axis=1).mean()))
     return Arm(members, tip, axis, float(weight.sum()), spread, _of_pairs(normal[index], direction))
 
 

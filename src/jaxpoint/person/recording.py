@@ -49,6 +49,7 @@ def watch_session(
     settings: PersonSettings,
     *,
     cache: Path | None = None,
+    anew: bool = False,
     workers: int = 0,
     progress: Progress | None = None,
 ) -> tuple[CameraViews, ...]:
@@ -60,6 +61,7 @@ def watch_session(
         session: the videos.
         settings: of the detectors.
         cache: folder of what earlier calls found; None keeps nothing.
+        anew: look again where something was kept.
         workers: processes at most; 0 for one a core.
         progress: called in this process.
 
@@ -68,6 +70,9 @@ def watch_session(
         InsufficientDataError: too few frames to learn a background from.
     """
     jobs = [_job(session, camera, settings, cache) for camera in range(len(session.names))]
+    for job in jobs:
+        if anew and job.kept is not None:
+            job.kept.unlink(missing_ok=True)
     finished: dict[int, CameraViews] = {}
 
     def report(camera: int, done: int, total: int) -> None:

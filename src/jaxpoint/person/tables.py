@@ -24,7 +24,7 @@ DETECTION_COLUMNS = (
 ARM_COLUMNS = (
     "frame", "time_s", "person", "reason", "views", "tip_x_m", "tip_y_m", "tip_z_m", "tip_spread_m", "near_x_m",
     "near_y_m", "near_z_m", "far_x_m", "far_y_m", "far_z_m", "direction_x", "direction_y", "direction_z", "sigma_deg",
-    "rms_px", "stretch_m",
+    "rms", "stretch_m",
 )  # fmt: skip
 
 
@@ -81,7 +81,7 @@ def _in_room(arm: PointingArm) -> dict[str, Any]:
         "views": arm.counted,
         "tip_spread_m": arm.tip_spread,
         "sigma_deg": float(sigma),
-        "rms_px": float(arm.axis.rms_px),
+        "rms": float(arm.axis.rms),
         "stretch_m": arm.stretch,
     }
 

@@ -13,12 +13,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm
+from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.linalg import solve_positive
 from jaxpoint.geometry.line import normalised
 
 STEPS = 12
-SPAN_M = (0.20, 0.38)  # from the tip: behind the wrist and before the elbow of adults of 1.5 to 1.95 m
 _EDGE_M = 0.02  # over which a slice's weight rises at the ends of the span
 _DAMPING = 1e-6
 
@@ -31,7 +30,7 @@ class LimbAxis(eqx.Module):
     direction: Float[Array, "*batch 3"]  # unit length, towards the tip
     direction_covariance: Float[Array, "*batch 3 3"]  # of the direction, if slices were independent
     near_covariance: Float[Array, "*batch 3 3"]  # m^2
-    rms_px: Float[Array, "*batch"]  # weighted, over the slices that count
+    rms: Float[Array, "*batch"]  # in units of `sigma_px`, over the slices that count
     slices: Float[Array, "*batch C"]  # weight of each view: slices that count
 
 
@@ -42,7 +41,8 @@ def fit_axis(
     seen: Bool[AnyArray, "C S"],
     tip: Float[AnyArray, "3"],
     direction: Float[AnyArray, "3"],
-    sigma_px: float = 1.5,
+    sigma_px: Float[AnyArray, " C"],
+    span_m: Float[AnyArray, "2"],
 ) -> LimbAxis:
     """The axis that lies nearest to the slices of all views, by Gauss-Newton with a Cauchy loss.
 
@@ -53,28 +53,30 @@ def fit_axis(
         seen: which slices hold something.
         tip: first guess of the end of the limb, m; the span in which slices count starts from it.
         direction: first guess, unit length, towards the tip.
-        sigma_px: scale of the robust loss.
+        sigma_px: by how much a slice's middle may miss the axis in each view, px: the scale of the robust loss.
+        span_m: where slices count, behind the tip along the axis, m: behind the wrist, and before the elbow.
 
     Differentiable in all arguments that are not flags; batch it with `vmap`.
     """
-    origins, focal, rays, tip, direction = (as_float(x) for x in (origins, focal, rays, tip, direction))
+    origins, focal, rays, tip = as_float(origins), as_float(focal), as_float(rays), as_float(tip)
+    direction, sigma_px, span = as_float(direction), as_float(sigma_px), as_float(span_m)
     side = _across(direction)
 
     def ends(offsets: Array) -> tuple[Array, Array]:
-        near = tip - SPAN_M[0] * direction + offsets[:2] @ side
-        far = tip - SPAN_M[1] * direction + offsets[2:] @ side
+        near = tip - span[0] * direction + offsets[:2] @ side
+        far = tip - span[1] * direction + offsets[2:] @ side
         return near, far
 
     def residuals(offsets: Array) -> Array:
         near, far = ends(offsets)
         normal = normalised(jnp.cross(near[None] - origins, far[None] - origins))
-        return focal[:, None] * jnp.sum(rays * normal[:, None, :], axis=-1)
+        return (focal / sigma_px)[:, None] * jnp.sum(rays * normal[:, None, :], axis=-1)
 
     def weights(offsets: Array) -> Array:
         near, far = ends(offsets)
-        behind = _behind(origins, rays, near, normalised(near - far)) + SPAN_M[0]
-        rise = jnp.clip((behind - SPAN_M[0] + _EDGE_M) / _EDGE_M, 0.0, 1.0)
-        fall = jnp.clip((SPAN_M[1] + _EDGE_M - behind) / _EDGE_M, 0.0, 1.0)
+        behind = _behind(origins, rays, near, normalised(near - far)) + span[0]
+        rise = jnp.clip((behind - span[0] + _EDGE_M) / _EDGE_M, 0.0, 1.0)
+        fall = jnp.clip((span[1] + _EDGE_M - behind) / _EDGE_M, 0.0, 1.0)
         return jnp.where(seen, rise * fall, 0.0)
 
     def normal_equations(offsets: Array, scale: Array | float) -> tuple[Array, Array, Array, Array]:
@@ -88,17 +90,17 @@ def fit_axis(
 
     def step(count: Array, offsets: Array) -> Array:
         # The scale shrinks to its end: a start that is off by a few pixels must not lose the right slices.
-        scale = sigma_px * jnp.maximum(1.0, 8.0 * 0.5**count)
+        scale = jnp.maximum(1.0, 8.0 * 0.5**count)
         matrix, gradient, _, _ = normal_equations(offsets, scale)
         return offsets - solve_positive(_damped(matrix), gradient)
 
     offsets = jax.lax.fori_loop(0, STEPS, step, jnp.zeros(4, tip.dtype))
-    matrix, _, value, counted = normal_equations(offsets, sigma_px)
+    matrix, _, value, counted = normal_equations(offsets, 1.0)
     near, far = ends(offsets)
     total = jnp.sum(counted)
     some = total > 0
     rms2 = jnp.sum(counted * value**2) / jnp.where(some, total, 1.0)
-    covariance = jnp.linalg.inv(_damped(matrix)) * jnp.maximum(rms2, 0.25)
+    covariance = jnp.linalg.inv(_damped(matrix)) * jnp.maximum(rms2, 1.0)
     of_direction = jax.jacfwd(lambda x: normalised(ends(x)[0] - ends(x)[1]))(offsets)
     of_near = jax.jacfwd(lambda x: ends(x)[0])(offsets)
     return LimbAxis(
@@ -133,17 +135,3 @@ def _behind(origins: Array, rays: Array, near: Array, direction: Array) -> Array
     parallel = sine2 < 1e-4
     ahead = (cosine * along_ray - (gap @ direction)[:, None]) / jnp.where(parallel, 1.0, sine2)
     return jnp.where(parallel, 1e3, -ahead)
-
-
-def meeting_point(
-    origins: Float[AnyArray, "C 3"], rays: Float[AnyArray, "C 3"], weights: Float[AnyArray, " C"]
-) -> tuple[Float[Array, "3"], Float[Array, " C"]]:
-    """The point nearest to weighted rays, and its distance from each, m."""
-    origins, rays, weights = as_float(origins), as_float(rays), as_float(weights)
-    across = jnp.eye(3, dtype=rays.dtype)[None] - rays[:, :, None] * rays[:, None, :]
-    matrix = jnp.einsum("c,cij->ij", weights, across)
-    point = solve_positive(
-        matrix + 1e-9 * jnp.eye(3, dtype=rays.dtype), jnp.einsum("c,cij,cj->i", weights, across, origins)
-    )
-    off = point[None] - origins
-    return point, safe_norm(off - jnp.sum(off * rays, axis=-1)[:, None] * rays)

@@ -39,7 +39,7 @@ def floor_plan(
     ax = figure.add_subplot()
     if room is not None:
         size = room[1] - room[0]
-        ax.add_patch(Rectangle(room[0, :2], size[0], size[1], fill=False, ec=INK, lw=1.4))
+        ax.add_patch(Rectangle((room[0, 0], room[0, 1]), size[0], size[1], fill=False, ec=INK, lw=1.4))
     for color, (name, place) in zip(camera_colors(len(heads.people)), _ways(heads)):
         line, seconds, measured = place
         ax.plot(*line[:, :2].T, color=color, lw=7, alpha=0.28, solid_capstyle="round")
@@ -130,15 +130,20 @@ def _clock(heads: HeadTracks) -> tuple[float, float]:
 
 
 def _dots(ax: Axes, places: np.ndarray, seconds: np.ndarray, times: np.ndarray) -> None:
-    ax.scatter(
-        *places.T, c=seconds, s=9, cmap=_TIME, vmin=times[0], vmax=times[-1], lw=0, rasterized=True, zorder=3
-    )
+    ax.scatter(*places.T, c=seconds, s=9, cmap=_TIME, vmin=times[0], vmax=times[-1], lw=0, rasterized=True, zorder=3)
 
 
 def _label(ax: Axes, place: np.ndarray, name: str, color: str) -> None:
     ax.plot(*place, marker="o", mfc="none", mec=color, ms=11, mew=2)
     ax.annotate(
-        name, place, xytext=(0, 11), textcoords="offset points", color=color, weight="bold", fontsize=9, ha="center"
+        name,
+        (place[0], place[1]),
+        xytext=(0, 11),
+        textcoords="offset points",
+        color=color,
+        weight="bold",
+        fontsize=9,
+        ha="center",
     )
 
 

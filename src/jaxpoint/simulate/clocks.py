@@ -16,6 +16,7 @@ class Clocks:
     """F common moments of C cameras."""
 
     present: Bool[np.ndarray, "F C"]  # whether the camera's file has an image of that moment
+    source: Int[np.ndarray, "F C"]  # moment whose image it is; an earlier one where a camera repeats itself
     shown_s: Float[np.ndarray, "F C"]  # time that the image really shows
     stamped_s: Float[np.ndarray, "F C"]  # time that the camera says
 
@@ -41,8 +42,8 @@ def make_clocks(rng: Generator, settings: SimulationSettings, moments: int) -> C
     for camera, second in faults.stops:
         present[common >= second, camera] = False
     present[1::2, list(faults.half_rate)] = False
-    doubled = rng.random((moments, cameras)) < faults.doubled
-    for moment, camera in np.argwhere(doubled):
-        if moment > 0:
-            shown[moment, camera] = shown[moment - 1, camera]
-    return Clocks(present, shown, np.repeat(common[:, None], cameras, axis=1))
+    stamped = np.repeat(common[:, None], cameras, axis=1)
+    source = np.repeat(np.arange(moments)[:, None], cameras, axis=1)
+    for moment, camera in np.argwhere(rng.random((moments, cameras)) < faults.doubled):
+        source[moment, camera] = source[max(moment - 1, 0), camera]
+    return Clocks(present, source, np.take_along_axis(shown, source, axis=0), stamped)

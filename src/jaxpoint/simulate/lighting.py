@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxpoint.simulate.raster import rasterise
-from jaxpoint.simulate.scene import Lamp, Scene
+from jaxpoint.simulate.scene import INTENSITY, Lamp, Scene
 
 MAP_PX = 384
 REACH_RAD = 0.6 * np.pi  # no light leaves beyond a right angle; straight behind, the projection is singular
 BIAS_M = 0.04
-POINTS_A_LAMP = 7
-NEAREST_M = 0.25  # keeps what almost touches a point from shining
+POINTS_A_LAMP = 6
+NEAREST_M = 0.6  # keeps what almost touches a point from shining
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def light_room(scene: Scene) -> RoomLight:
     down = np.array([0.0, 0.0, -1.0])
     direct = np.stack([sum(lit(point) for point in _points_of(lamp)) for lamp in scene.lamps])
     indirect = _sent_back(scene)
-    ambient = 0.10 * scene.indirect * np.ones(3)
+    ambient = 0.08 * scene.indirect * np.ones(3)
     lamps = tuple(LightPoint(lamp.position, down, lamp.intensity) for lamp in scene.lamps)
     maps = tuple(lamp.seen_by(points, surfaces.triangles) for lamp in lamps)
     total = direct.sum(axis=0) + ambient + sum(lit(point) for point in indirect)
@@ -118,15 +118,15 @@ def _points_of(lamp: Lamp) -> list[LightPoint]:
 def _sent_back(scene: Scene) -> tuple[LightPoint, ...]:
     """Weak points on the ceiling and the walls; their light has the lamps' mean colour."""
     length, width, height = scene.size
-    strength = scene.indirect * np.sum([lamp.intensity for lamp in scene.lamps], axis=0) / 6.5
+    strength = scene.indirect * np.sum([lamp.intensity for lamp in scene.lamps], axis=0) / INTENSITY
     places = [
-        ((x * length, y * width, height - 0.05), (0.0, 0.0, -1.0), 0.42) for x in (0.2, 0.5, 0.8) for y in (0.25, 0.75)
+        ((x * length, y * width, height - 0.05), (0.0, 0.0, -1.0), 0.36) for x in (0.2, 0.5, 0.8) for y in (0.25, 0.75)
     ]
     for share in (0.3, 0.7):
-        places.append(((share * length, 0.05, 1.7), (0.0, 1.0, 0.0), 0.3))
-        places.append(((share * length, width - 0.05, 1.7), (0.0, -1.0, 0.0), 0.3))
-        places.append(((0.05, share * width, 1.7), (1.0, 0.0, 0.0), 0.3))
-        places.append(((length - 0.05, share * width, 1.7), (-1.0, 0.0, 0.0), 0.3))
+        places.append(((share * length, 0.05, 1.7), (0.0, 1.0, 0.0), 0.25))
+        places.append(((share * length, width - 0.05, 1.7), (0.0, -1.0, 0.0), 0.25))
+        places.append(((0.05, share * width, 1.7), (1.0, 0.0, 0.0), 0.25))
+        places.append(((length - 0.05, share * width, 1.7), (-1.0, 0.0, 0.0), 0.25))
     return tuple(LightPoint(np.array(place), np.array(axis), share * strength) for place, axis, share in places)
 
 

@@ -40,9 +40,10 @@ def rasterise(
     width, height = size
     nearness = np.zeros(width * height, np.float32)
     triangle = np.full(width * height, NOTHING, np.int32)
+    corners = corners.astype(np.float32)
     index = _drawable(corners, depth, size, both_sides)
     if len(index):
-        found, place, near = _samples(corners[index].astype(np.float32), depth[index], size)
+        found, place, near = _samples(corners[index], depth[index], size)
         np.maximum.at(nearness, place, near)
         wins = near == nearness[place]
         triangle[place[wins]] = index[found[wins]]

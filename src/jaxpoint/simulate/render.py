@@ -111,8 +111,9 @@ def draw_people(view: Viewpoint, room: RoomView, people: LitPeople) -> Drawn:
     """Draw people into the room: hidden by furniture, shading floor and walls, smeared by their motion."""
     image = room.image.copy()
     _cast_shadows(image, room, people)
-    start, end = view.project(people.start)[0], view.project(people.end)[0]
-    depth = view.project(people.middle)[1].astype(np.float32)
+    start, depth = view.project(people.start)
+    end = view.project(people.end)[0]
+    depth = depth.astype(np.float32)
     window = _window(np.concatenate([start, end]), view.size)
     if window is None:
         return nobody(image)
@@ -142,18 +143,20 @@ def samples_alone(view: Viewpoint, people: LitPeople, label: int, around: Sequen
 
     What lies beyond the image's edges counts too. The parts around it hide the ends that are sunk into them.
     """
-    part = people.parts[people.triangles[:, 0]]
-    triangles = people.triangles[np.isin(part, (label, *around))]
-    pixels, depth = view.project(people.middle)
-    if not len(triangles) or not np.isfinite(pixels[triangles]).all():
+    drawn = np.isin(people.parts, (label, *around))
+    number = np.cumsum(drawn) - 1
+    triangles = number[people.triangles[drawn[people.triangles[:, 0]] & drawn[people.triangles[:, 2]]]]
+    part = people.parts[drawn]
+    pixels, depth = view.project(people.middle[drawn])
+    own = pixels[part == label]
+    if not len(own) or not np.isfinite(pixels).all():
         return 0
-    own = pixels[people.triangles[part == label]]
-    low = np.floor(own.min(axis=(0, 1))) - 1
-    width, height = (np.ceil(own.max(axis=(0, 1))) + 2 - low).astype(int).tolist()
+    low = np.floor(own.min(axis=0)) - 1
+    width, height = (np.ceil(own.max(axis=0)) + 2 - low).astype(int).tolist()
     corners = SAMPLES * (pixels - low) + (SAMPLES - 1) / 2
     raster = rasterise(corners[triangles], depth[triangles], (SAMPLES * width, SAMPLES * height))
     found = raster.triangle[raster.triangle != NOTHING]
-    return int((people.parts[triangles[found, 0]] == label).sum())
+    return int((part[triangles[found, 0]] == label).sum())
 
 
 def label_of(part: int, person: int) -> int:
@@ -195,6 +198,10 @@ def _sampled(corners, depth, people: LitPeople, size) -> tuple[np.ndarray, np.nd
 
 def _blended(corner, value, triangle, column, row) -> np.ndarray:
     """Values of the corners, linear across each triangle: enough for triangles of a few pixels."""
+    seen = np.zeros(len(corner), bool)
+    seen[triangle] = True
+    corner, value = corner[seen], value[seen]
+    triangle = (np.cumsum(seen, dtype=np.int32) - 1)[triangle]
     a, b = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
     rise_a, rise_b = value[:, 1] - value[:, 0], value[:, 2] - value[:, 0]
     area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

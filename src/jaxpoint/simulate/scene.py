@@ -26,6 +26,7 @@ from jaxpoint.simulate.surfaces import Surfaces
 SIZE_M = (6.0, 5.0, 3.0)
 MARGIN_M = 1.15  # floor along every wall that stays free of people
 LAMP_RADIUS_M = 0.22
+INTENSITY = 9.0  # of all lamps together, linear light at 1 m
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _shell(room: Furnished, size: np.ndarray, walls: list[Wall]) -> None:
 def _lamp(rng: Generator, settings: SceneSettings, place: np.ndarray, lamps: int) -> Lamp:
     warmth = _drawn(rng, settings.lamp_warmth)
     colour = np.array([1 + warmth / 2, 1.0, 1 - warmth / 2])
-    return Lamp(place, colour * _drawn(rng, settings.lamp_brightness) * 6.5 / lamps)
+    return Lamp(place, colour * _drawn(rng, settings.lamp_brightness) * INTENSITY / lamps)
 
 
 def _drawn(rng: Generator, bounds) -> float:

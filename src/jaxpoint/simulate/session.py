@@ -76,7 +76,7 @@ class SimulatedSession:
     @property
     def rig(self) -> CameraRig:
         """The true cameras, m."""
-        return rig_of(list(self.viewpoints))
+        return rig_of(self.viewpoints)
 
     @property
     def objects(self) -> tuple[NamedObject, ...]:
@@ -117,7 +117,7 @@ class SimulatedSession:
         present, room = self.at(time_s), self.rooms[camera]
         shown = nobody(room.image) if present is None else draw_people(self.viewpoints[camera], room, present.people)
         views = () if present is None else self._views(camera, time_s, present, shown)
-        image = self._developed(camera, moment, shown.image, time_s)
+        image = self._developed(camera, int(self.clocks.source[moment, camera]), shown.image, time_s)
         return SimulatedFrame(moment, camera, time_s, image, shown.labels, views)
 
     def empty(self, frame: int, camera: int) -> UInt8[np.ndarray, "H W 3"]:

@@ -12,7 +12,7 @@ from jaxpoint.simulate.textures import Texture
 
 Vector = Sequence[float] | Float[np.ndarray, " N"]
 
-STEP_M = 0.08  # edge of the triangles: fine enough for soft shadows that are computed at their corners
+STEP_M = 0.1  # edge of the triangles: fine enough for soft shadows that are computed at their corners
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,9 @@ def _shaded(rng: Generator, colour, spread: float) -> np.ndarray:
 
 
 def _random_colour(rng: Generator, low: int, high: int) -> Colour:
-    red, green, blue = (int(value) for value in rng.integers(low, high, 3))
+    """Somewhat greyed: pure colours are rare in rooms."""
+    drawn = rng.integers(low, high, 3)
+    red, green, blue = (int(value) for value in 0.65 * drawn + 0.35 * drawn.mean())
     return red, green, blue
 
 
@@ -231,7 +233,7 @@ def _clouds(rng: Generator, height: int, width: int, soft: float, fine: float) -
 
 def _grain(rng: Generator, colour, height: int, width: int) -> np.ndarray:
     noise = cv2.GaussianBlur(rng.normal(size=(height, width)).astype(np.float32), (0, 0), sigmaX=width / 9, sigmaY=1.2)
-    return _flat(colour, height, width) * (1 + 0.07 * noise / noise.std())[..., None].astype(np.float32)
+    return _flat(colour, height, width) * (1 + 0.045 * noise / noise.std())[..., None].astype(np.float32)
 
 
 def _landscape(rng: Generator) -> np.ndarray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
+import jax
 import numpy as np
 from jaxtyping import Float
 from numpy.random import Generator
@@ -54,18 +56,19 @@ def random_viewpoints(rng: Generator, settings: ViewpointSettings, scene: Scene)
     return [_viewpoint(rng, settings, scene, along) for along in share]
 
 
-def rig_of(viewpoints: list[Viewpoint]) -> CameraRig:
+def rig_of(viewpoints: Sequence[Viewpoint]) -> CameraRig:
     """The true cameras as a rig, named cam_0, cam_1, ..."""
     rotation = np.stack([view.rotation for view in viewpoints])
     position = np.stack([view.position for view in viewpoints])
-    return CameraRig.from_parameters(
-        np.array([[view.focal, view.focal] for view in viewpoints]),
-        np.stack([view.center for view in viewpoints]),
-        np.stack([view.distortion for view in viewpoints]),
-        rotation,
-        -np.einsum("cij,cj->ci", rotation, position),
-        np.array([view.size for view in viewpoints]),
-    )
+    with jax.enable_x64(True):
+        return CameraRig.from_parameters(
+            np.array([[view.focal, view.focal] for view in viewpoints]),
+            np.stack([view.center for view in viewpoints]),
+            np.stack([view.distortion for view in viewpoints]),
+            rotation,
+            -np.einsum("cij,cj->ci", rotation, position),
+            np.array([view.size for view in viewpoints]),
+        )
 
 
 def _viewpoint(rng: Generator, settings: ViewpointSettings, scene: Scene, along: float) -> Viewpoint:

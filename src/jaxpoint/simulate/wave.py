@@ -23,11 +23,11 @@ from jaxpoint.simulate.viewpoints import Viewpoint
 KNOT_FRAMES = 14  # between the random places through which the light goes: about 30 px a frame
 LED_BGR = np.array([0.35, 0.45, 1.0])
 GLINT_BGR = np.array([0.1, 1.0, 0.3])
-PEAK = 3.0  # of the LED, over what saturates the sensor
-HALO = 0.05  # of the lens, over the peak
+PEAK = 1.6  # of the LED, over what saturates the sensor
+HALO = 0.02  # of the lens, over the peak
 SOFT_PX = 0.7  # standard deviation of the lens's blur
 HALO_PX = 5.0
-LED_LIGHT = 0.02  # what the LED sheds on things 1 m away, over the lamps
+LED_LIGHT = 0.002  # what the LED sheds on things 1 m away, over the lamps
 SURFACE_M = 0.03  # what is nearer than this to a surface counts as on it
 
 
@@ -57,6 +57,19 @@ class Carrier:
     def mesh(self) -> Mesh:
         """Their surface."""
         return Mesh.joined([capsule.mesh(np.array([0.3, 0.25, 0.22])) for capsule in self.capsules])
+
+    def hides(self, eye: np.ndarray, light: np.ndarray) -> bool:
+        """Whether they stand between a camera and the light."""
+        return any(capsule.hides(eye, light) for capsule in self.capsules)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A small ball of light."""
+
+    place: Float[np.ndarray, "3"]  # m
+    radius_m: float
+    colour: Float[np.ndarray, "3"]  # blue, green, red, in shares of the sensor's range: it is exposed for the light
 
 
 @dataclass(frozen=True)
@@ -93,30 +106,30 @@ class SimulatedWave:
         carrier = Carrier.at(self.light[frame], self.behind[frame], self.stature_m)
         shown = draw_people(view, room, _dimly_lit(carrier.mesh(), self.light[frame], self.darkness)).image
         shown *= np.float32(self.darkness)
-        spots = np.zeros_like(shown)
-        for glint in self.glints:
-            _add_spot(spots, view, room, glint, 0.002, 0.25 * GLINT_BGR)
-        if not any(capsule.hides(view.position, self.light[frame]) for capsule in carrier.capsules):
-            _add_spot(spots, view, room, self.light[frame], self.radius_m, PEAK * LED_BGR)
-        self._add_reflections(spots, view, room, frame)
+        for spot in self._spots(view, frame, carrier):
+            _add_spot(shown, sensor.response, view, room, spot)
         rng = np.random.default_rng([session.seed, 4, camera, frame])
-        # Spots are in shares of the range, whatever the exposure: it was set for the light.
-        return sensor.develop(shown + spots / sensor.response, session.noise.window(rng))
+        return sensor.develop(shown, session.noise.window(rng))
 
     def visible(self, frame: int, camera: int) -> bool:
         """Whether the camera sees the light itself, inside its image and hidden by nothing."""
         view, room = self.session.viewpoints[camera], self.session.rooms[camera]
         carrier = Carrier.at(self.light[frame], self.behind[frame], self.stature_m)
-        if any(capsule.hides(view.position, self.light[frame]) for capsule in carrier.capsules):
+        if carrier.hides(view.position, self.light[frame]):
             return False
         return _shown_at(view, room, self.light[frame]) is not None
 
-    def _add_reflections(self, spots: np.ndarray, view: Viewpoint, room: RoomView, frame: int) -> None:
+    def _spots(self, view: Viewpoint, frame: int, carrier: Carrier) -> list[Spot]:
+        """The light, its mirror images, and glints, whether furniture hides them or not."""
+        spots = [Spot(glint, 0.002, 0.25 * GLINT_BGR) for glint in self.glints]
+        if not carrier.hides(view.position, self.light[frame]):
+            spots.append(Spot(self.light[frame], self.radius_m, PEAK * LED_BGR))
         strength = self.session.settings.wave.reflections
         for corners, share in self.session.scene.mirrors if strength > 0 else ():
-            place = _mirrored(corners, view.position, self.light[frame])
+            place = mirrored(corners, view.position, self.light[frame])
             if place is not None:
-                _add_spot(spots, view, room, place, 1.5 * self.radius_m, strength * share * PEAK * LED_BGR)
+                spots.append(Spot(place, 1.5 * self.radius_m, strength * share * PEAK * LED_BGR))
+        return spots
 
 
 def simulate_wave(session: SimulatedSession) -> SimulatedWave:
@@ -156,7 +169,7 @@ def _dimly_lit(mesh: Mesh, light: np.ndarray, darkness: float) -> LitPeople:
     return LitPeople(points, points, mesh.triangles, mesh.parts, colour.astype(np.float32), none, none)
 
 
-def _mirrored(corners: np.ndarray, eye: np.ndarray, light: np.ndarray) -> np.ndarray | None:
+def mirrored(corners: np.ndarray, eye: np.ndarray, light: np.ndarray) -> np.ndarray | None:
     """Where an eye sees a light in a mirror (left-top, right-top, left-bottom, right-bottom corners), or None."""
     left_top, across, down = corners[0], corners[1] - corners[0], corners[2] - corners[0]
     normal = np.cross(down, across)
@@ -180,20 +193,18 @@ def _shown_at(view: Viewpoint, room: RoomView, place: np.ndarray) -> tuple[np.nd
     return None if depth > room.depth[row, column] + SURFACE_M else (pixel, depth)
 
 
-def _add_spot(
-    spots: np.ndarray, view: Viewpoint, room: RoomView, place: np.ndarray, radius_m: float, colour: np.ndarray
-) -> None:
-    """A small ball of light with the lens's blur and halo, in place; nothing where furniture hides its middle."""
-    shown = _shown_at(view, room, place)
+def _add_spot(image: np.ndarray, response: np.ndarray, view: Viewpoint, room: RoomView, spot: Spot) -> None:
+    """Add a spot with the lens's blur and halo, in place; nothing where furniture hides its middle."""
+    shown = _shown_at(view, room, spot.place)
     if shown is None:
         return
     (x, y), depth = shown
-    radius = view.focal * radius_m / depth
+    radius = view.focal * spot.radius_m / depth
     reach = int(np.ceil(radius + 4 * HALO_PX))
     left, top = max(0, round(x) - reach), max(0, round(y) - reach)
-    part = spots[top : round(y) + reach + 1, left : round(x) + reach + 1]
-    rows, columns = np.mgrid[: part.shape[0], : part.shape[1]]
+    part = np.s_[top : round(y) + reach + 1, left : round(x) + reach + 1]
+    rows, columns = np.mgrid[: image[part].shape[0], : image[part].shape[1]]
     distance = np.hypot(columns + left - x, rows + top - y)
-    disc = np.clip((radius - distance) / (2 * SOFT_PX) + 0.5, 0.0, 1.0)
-    halo = HALO * np.exp(-0.5 * (distance / HALO_PX) ** 2) + np.exp(-0.5 * (distance / (radius + SOFT_PX)) ** 2) * 0.2
-    part += ((disc + halo)[..., None] * colour).astype(np.float32)
+    disc = np.clip((radius - distance) / (2 * SOFT_PX) + 0.5, 0.0, 1.0) * min(1.0, (radius / SOFT_PX) ** 2)
+    halo = HALO * np.exp(-0.5 * (distance / HALO_PX) ** 2)
+    image[part] += ((disc + halo)[..., None] * spot.colour / response[part]).astype(np.float32)

@@ -2,9 +2,9 @@
 
 Every pair of rays and every track's prediction is a hypothesis. It gathers the nearest ray of every view within the
 gate, is fitted to these (and to the prediction, where it belongs to a track), and gathers anew. Its score is what it
-explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two people
-are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is believed only
-where it continues a track, or where neither view has another explanation.
+explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two
+people are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is
+believed only where it continues a track, or where neither view has another explanation.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def _hypotheses(
     known = np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(prior.covariances)[1]
     gap = points - prior.points
     misfit = np.einsum("hi,hi->h", gap, np.linalg.solve(prior.covariances, gap[..., None])[..., 0])
-    score = _explained(rays, points, members, settings) - misfit + known
+    score = explained(rays, points, members, settings) - misfit + known
     continued = Hypotheses(points, covariances, members, tracks, score).select(score > 0)
     both = (np.concatenate([getattr(part, name) for part in (new, continued)]) for name in new.__dataclass_fields__)
     return _usable(Hypotheses(*both), rays, gate, bounds)
@@ -151,7 +151,7 @@ def _new_heads(rays: Rays, settings: TrackSettings, gate: float, bounds: Float[n
     members = _several(members)
     points, covariances = _fit(rays, members)
     known = np.linalg.slogdet(covariances)[1] + 3 * np.log(2 * np.pi) + 2 * np.log(settings.new_heads_m3)
-    score = _explained(rays, points, members, settings) + known
+    score = explained(rays, points, members, settings) + known
     return _usable(Hypotheses(points, covariances, members, np.full(len(points), -1), score), rays, gate, bounds)
 
 
@@ -185,7 +185,7 @@ def _usable(hypotheses: Hypotheses, rays: Rays, gate: float, bounds: Float[np.nd
     )
 
 
-def _explained(
+def explained(
     rays: Rays, points: Float[np.ndarray, "H 3"], members: Bool[np.ndarray, "H M"], settings: TrackSettings
 ) -> Float[np.ndarray, " H"]:
     """Twice the log likelihood of the rays over that of as many seen by chance."""

@@ -1,9 +1,10 @@
 """Who is who: tracks are born, get an id, wait while nobody sees them, and end.
 
 A head that continues no track begins one. It gets an id once it was measured in 3 of its first 5 frames (by three views
-or more where somebody else is within a metre, since rays to two people cross between them): that of a track lost before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one.
-A lost track waits for 2 s. So whoever comes out from behind something within that time, about where he was going, keeps
-his id; whoever comes back later is a new person: geometry alone cannot tell who it is.
+or more where somebody else is within a metre, since rays to two people cross between them): the id of a track lost
+before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one. A lost
+track waits for 2 s. So whoever comes out from behind something within that time, about where he was going, keeps his
+id; whoever comes back later is a new person: geometry alone cannot tell who it is.
 """
 
 from __future__ import annotations

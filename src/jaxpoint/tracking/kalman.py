@@ -14,13 +14,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
+from jaxpoint.geometry.arrays import AnyArray
 
 
 class State(eqx.Module):
     """Where a point is and how it moves: position (m), then velocity (m/s)."""
 
-    mean: Float[Array, "*batch 6"]
-    covariance: Float[Array, "*batch 6 6"]
+    mean: Float[AnyArray, "*batch 6"]
+    covariance: Float[AnyArray, "*batch 6 6"]
 
 
 class Filtered(NamedTuple):
@@ -53,8 +54,9 @@ def distance2(state: State, point: Float[Array, "3"], information: Float[Array, 
 def update(state: State, point: Float[Array, "3"], information: Float[Array, "3 3"]) -> State:
     """The state once a point was measured.
 
-    A measurement is a point (m) and its information, the inverse of its covariance (1/m^2). One view knows nothing along
-    its line of sight: its information has rank 2, and the point is any on that line. No information changes nothing.
+    A measurement is a point (m) and its information, the inverse of its covariance (1/m^2). One view knows nothing
+    along its line of sight: its information has rank 2, and the point is any on that line. No information changes
+    nothing.
     Joseph's form keeps the covariance symmetric and positive.
     """
     weight = _weight(state, information)

@@ -64,7 +64,7 @@ def measure(
         eye = jnp.eye(3, dtype=pixel.dtype)
         prior = jnp.where(new, 0.0, jnp.linalg.inv(state.covariance[:3, :3]))
 
-        def step(_: int, point: Array) -> Array:
+        def step(_: Array, point: Array) -> Array:
             information, slope = _normal(rig, point, pixel, weight)
             square = jnp.where(good, information + prior, eye)
             return point - jnp.linalg.solve(square, jnp.where(good, slope + prior @ (point - state.mean[:3]), 0.0))

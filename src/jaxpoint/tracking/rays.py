@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.compilation import jit
+from jaxpoint.compilation import jit_once
 
 MIN_DEPTH = 0.2  # m; nobody is nearer to a camera
 
@@ -34,9 +34,7 @@ class Rays:
     def without(self, taken: Bool[np.ndarray, " M"]) -> Rays:
         """Those that are still free."""
         kept = ~taken
-        return Rays(
-            self.camera[kept], self.candidate[kept], self.origin[kept], self.direction[kept], self.sigma[kept]
-        )
+        return Rays(self.camera[kept], self.candidate[kept], self.origin[kept], self.direction[kept], self.sigma[kept])
 
     @cached_property
     def axes(self) -> Float[np.ndarray, "M 2 3"]:
@@ -56,7 +54,7 @@ class Rays:
         return np.einsum("hmi,mji->hmj", offset, self.axes), along, reach * self.sigma
 
 
-@jit
+@jit_once
 def look(
     cameras: Camera, pixels: Float[Array, "F C K 2"], sigma_px: Float[Array, "F C K"]
 ) -> tuple[Float[Array, "C 3"], Float[Array, "F C K 3"], Float[Array, "F C K"], Bool[Array, "F C K"]]:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 
 from jaxpoint.tracking.identity import Track
 
@@ -32,6 +32,11 @@ REASONS = {
 }
 
 
+def status_of(views: Int[np.ndarray, "*batch"]) -> Int[np.ndarray, "*batch"]:
+    """`Status` by the number of views that measured a head."""
+    return np.array([Status.NO_VIEW, Status.ONE_VIEW, Status.TWO_VIEWS, Status.MEASURED])[np.minimum(views, 3)]
+
+
 @dataclass(frozen=True)
 class FrameHeads:
     """The T heads that are followed in one frame, known from this frame and those before it."""
@@ -51,7 +56,7 @@ class FrameHeads:
 
 @dataclass(frozen=True)
 class HeadTracks:
-    """The heads of N people over F frames, by C cameras; zeros where `status` is ABSENT. `heads.csv` holds just this."""
+    """The heads of N people over F frames by C cameras; zeros where `status` is ABSENT. `heads.csv` holds this."""
 
     frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording (sync_index)
     times: Float[np.ndarray, " F"]  # s
@@ -83,4 +88,20 @@ class Tracking:
     candidates: Int[np.ndarray, "F N C"]  # which candidate of each camera is this person; -1 where none was used
     points: Float[np.ndarray, "F N 3"]  # m, as the views of a frame alone see it
     informations: Float[np.ndarray, "F N 3 3"]  # of the points, 1/m^2; 0 where no view does, rank 2 where one does
-    innovations2: Float[np.ndarray, "F N"]  # squared distance from the prediction, in standard deviations: chi-square of 3
+    innovations2: Float[
+        np.ndarray, "F N"
+    ]  # squared distance from the prediction, in standard deviations: chi-square of 3
+
+    def parts(self) -> list[Shaped[np.ndarray, "F N ..."]]:
+        """All arrays that are about people, to be changed in place."""
+        about = [getattr(self.heads, name) for name in ("positions", "sigma", "used", "status")]
+        return about + [getattr(self, field.name) for field in fields(self)[1:]]
+
+    def without_the_absent(self) -> Tracking:
+        """Only the people who are there in some frame."""
+        kept = self.heads.present.any(axis=0)
+        names = ("positions", "sigma", "used", "status")
+        heads = replace(
+            self.heads, people=self.heads.people[kept], **{name: getattr(self.heads, name)[:, kept] for name in names}
+        )
+        return Tracking(heads, *(getattr(self, field.name)[:, kept] for field in fields(self)[1:]))

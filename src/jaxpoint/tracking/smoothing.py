@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -10,34 +11,30 @@ from jaxtyping import Array, Float, Int
 
 from jaxpoint.compilation import jit
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.tracking.kalman import State, filter_track, smooth_track
+from jaxpoint.tracking.kalman import Filtered, State, filter_track, smooth_track
 from jaxpoint.tracking.result import FrameHeads, HeadTracks, Status, Tracking
 
 _LEAST = 64  # frames that a compiled program is made for at least
 
 
+class Way(NamedTuple):
+    """What was measured of one person in L frames; the first must have two views."""
+
+    times: Float[np.ndarray, " L"]  # s
+    points: Float[np.ndarray, "L 3"]  # m
+    informations: Float[np.ndarray, "L 3 3"]  # 1/m^2
 
 
-def smoothed(
+def gathered(
     frames: Sequence[FrameHeads],
     cameras: tuple[str, ...],
     frame_ids: Int[np.ndarray, " F"],
     times: Float[np.ndarray, " F"],
-    settings: TrackSettings,
 ) -> Tracking:
-    """The confirmed tracks of a recording from what was measured in each frame, from the first to the last time."""
+    """What the frames measured, person by person, without places yet."""
     person_of = {track.key: track.person for heads in frames for track in heads.tracks}  # the latest is what counts
     people = np.array(sorted({person for person in person_of.values() if person}), int)
     column = {key: int(np.searchsorted(people, person)) for key, person in person_of.items() if person}
-    tracking = _gathered(frames, column, cameras, frame_ids, times, people)
-    _trim(tracking)
-    if len(people):
-        _smooth(tracking, settings)
-    return tracking
-
-
-def _gathered(frames, column, cameras, frame_ids, times, people) -> Tracking:
-    """What was measured, with no places yet."""
     shape = len(frames), len(people)
     heads = HeadTracks(
         frame_ids=np.asarray(frame_ids),
@@ -72,36 +69,49 @@ def _gathered(frames, column, cameras, frame_ids, times, people) -> Tracking:
     return tracking
 
 
-def _trim(tracking: Tracking) -> None:
-    """Nobody is foretold after the last frame that measured him."""
-    measured = tracking.heads.measured
-    later = np.cumsum(measured[::-1], axis=0)[::-1] > 0
-    tracking.heads.status[~later] = Status.ABSENT
-
-
-def _smooth(tracking: Tracking, settings: TrackSettings) -> None:
-    """Places, velocities and covariances of everybody, from the first frame to the last."""
+def smooth(tracking: Tracking, settings: TrackSettings) -> None:
+    """Places, velocities and covariances of everybody, from the first frame measured to the last, in place."""
     heads = tracking.heads
-    first = np.argmax(heads.present, axis=0)
-    length = heads.present.sum(axis=0)
-    size = max(_LEAST, 1 << int(length.max() - 1).bit_length())
-    rows = np.minimum(first + np.arange(size)[:, None], first + length - 1).T  # (N, L), the last frame repeated
-    person = np.arange(len(first))[:, None]
-    filling = np.arange(size) >= length[:, None]
-    states = _run(
-        heads.times[rows],
-        tracking.points[rows, person],
-        np.where(filling[..., None, None], 0.0, tracking.informations[rows, person]),
+    later = np.cumsum(heads.measured[::-1], axis=0)[::-1] > 0
+    earlier = np.cumsum(heads.measured, axis=0) > 0
+    heads.status[~(earlier & later)] = Status.ABSENT
+    for part in tracking.parts():
+        part[heads.status == Status.ABSENT] = 0
+    tracking.candidates[heads.status == Status.ABSENT] = -1
+    there = [np.flatnonzero(heads.present[:, person]) for person in range(len(heads.people))]
+    known = [person for person, frames in enumerate(there) if len(frames)]
+    ways = [
+        Way(heads.times[frames], tracking.points[frames, person], tracking.informations[frames, person])
+        for person, frames in enumerate(there)
+        if len(frames)
+    ]
+    for person, (filtered, states) in zip(known, run_ways(ways, settings)):
+        frames = there[person]
+        heads.positions[frames, person] = states.mean[:, :3]
+        tracking.velocities[frames, person] = states.mean[:, 3:]
+        tracking.covariances[frames, person] = states.covariance
+        tracking.innovations2[frames, person] = filtered.distance2
+        heads.sigma[frames, person] = np.sqrt(np.linalg.eigvalsh(states.covariance[:, :3, :3])[:, -1])
+
+
+def run_ways(ways: Sequence[Way], settings: TrackSettings) -> list[tuple[Filtered, State]]:
+    """Filter and smoother of several people, as numpy arrays; padded, so that few programs are compiled."""
+    if not ways:
+        return []
+    size = max(_LEAST, 1 << max(len(way.times) - 1 for way in ways).bit_length())
+    rows = [np.minimum(np.arange(size), len(way.times) - 1) for way in ways]
+    filling = [np.arange(size) >= len(way.times) for way in ways]
+    count = 1 << (len(ways) - 1).bit_length()
+    order = [min(k, len(ways) - 1) for k in range(count)]
+    found = _run(
+        np.stack([ways[k].times[rows[k]] for k in order]),
+        np.stack([ways[k].points[rows[k]] for k in order]),
+        np.stack([np.where(filling[k][:, None, None], 0.0, ways[k].informations[rows[k]]) for k in order]),
         np.float64(settings.acceleration_m_s2),
         np.float64(settings.speed_m_s),
     )
-    mean, square = np.asarray(states.mean), np.asarray(states.covariance)
-    for i, (begin, frames) in enumerate(zip(first, length)):
-        there = slice(begin, begin + frames)
-        heads.positions[there, i] = mean[i, :frames, :3]
-        tracking.velocities[there, i] = mean[i, :frames, 3:]
-        tracking.covariances[there, i] = square[i, :frames]
-        heads.sigma[there, i] = np.sqrt(np.linalg.eigvalsh(square[i, :frames, :3, :3])[:, -1])
+    found = jax.tree.map(np.asarray, found)
+    return [jax.tree.map(lambda leaf: leaf[k, : len(way.times)], found) for k, way in enumerate(ways)]  # noqa: B023
 
 
 @jit
@@ -111,10 +121,11 @@ def _run(
     informations: Float[Array, "N L 3 3"],
     acceleration: Float[Array, ""],
     speed: Float[Array, ""],
-) -> State:
+) -> tuple[Filtered, State]:
     """Filter and smoother of N tracks of L frames."""
 
-    def one(*track: Array) -> State:
-        return smooth_track(track[0], filter_track(*track, acceleration, speed))
+    def one(*track: Array) -> tuple[Filtered, State]:
+        filtered = filter_track(*track, acceleration, speed)
+        return filtered, smooth_track(track[0], filtered)
 
     return jax.vmap(one)(times, points, informations)

@@ -14,12 +14,13 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.tracking.association import Predictions, associate, near_prediction
+from jaxpoint.tracking.encounters import Seen, rejoin, resolve
 from jaxpoint.tracking.identity import Track, beside_others, named
 from jaxpoint.tracking.kalman import State
-from jaxpoint.tracking.measurement import Measured, measure, predict_all
+from jaxpoint.tracking.measurement import measure, predict_all
 from jaxpoint.tracking.rays import Rays, rays_of_frames
-from jaxpoint.tracking.result import FrameHeads, Status, Tracking
-from jaxpoint.tracking.smoothing import smoothed
+from jaxpoint.tracking.result import FrameHeads, Status, Tracking, status_of
+from jaxpoint.tracking.smoothing import gathered, smooth
 
 _LEAST = 4  # people that a compiled program is made for at least
 
@@ -40,7 +41,7 @@ def step(
     pixels: Float[np.ndarray, "C K 2"],
     valid: Bool[np.ndarray, "C K"],
     time: float,
-    settings: TrackSettings = TrackSettings(),
+    settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "C K"] | None = None,
     room: Float[np.ndarray, "2 3"] | None = None,
@@ -51,10 +52,12 @@ def step(
         ValueError: shapes do not fit, or `time` is not after the frame before.
         InsufficientDataError: fewer than two cameras.
     """
+    settings = settings or TrackSettings()
     sigma = np.full(valid.shape, settings.sigma_px) if sigma_px is None else sigma_px
     if state.time is not None and time <= state.time:
         raise ValueError(f"A frame at {time:g} s comes after one at {state.time:g} s; give them in order, each once.")
     _check(rig, pixels[None], valid[None], sigma[None], np.array([time]), 1)
+    pixels, sigma = np.where(valid[..., None], pixels, 0.0), np.where(valid, sigma, 1.0)
     with jax.enable_x64(True):
         rays = rays_of_frames(rig, pixels[None], valid[None], sigma[None])[0]
         return _step(state, rig, rays, (pixels, sigma), float(time), settings, _bounds(settings, room))
@@ -65,7 +68,7 @@ def track_heads(
     pixels: Float[np.ndarray, "F C K 2"],
     valid: Bool[np.ndarray, "F C K"],
     times: Float[np.ndarray, " F"],
-    settings: TrackSettings = TrackSettings(),
+    settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "F C K"] | None = None,
     frame_ids: Int[np.ndarray, " F"] | None = None,
@@ -89,18 +92,28 @@ def track_heads(
         ValueError: shapes do not fit, or the times do not rise.
         InsufficientDataError: fewer than two cameras.
     """
+    settings = settings or TrackSettings()
     sigma = np.full(valid.shape, settings.sigma_px) if sigma_px is None else sigma_px
     _check(rig, pixels, valid, sigma, times, len(pixels))
+    pixels, sigma = np.where(valid[..., None], pixels, 0.0), np.where(valid, sigma, 1.0)
     state, frames = TrackerState(), []
     with jax.enable_x64(True):
-        rays = rays_of_frames(rig, pixels, valid, sigma)
-        for frame, seen in enumerate(zip(pixels, sigma)):
-            state, heads = _step(state, rig, rays[frame], seen, float(times[frame]), settings, _bounds(settings, room))
+        bounds = _bounds(settings, room)
+        seen = Seen(rig, rays_of_frames(rig, pixels, valid, sigma), pixels, sigma, bounds)
+        for frame, rays in enumerate(seen.rays):
+            own = pixels[frame], sigma[frame]
+            state, heads = _step(state, rig, rays, own, float(times[frame]), settings, bounds)
             frames.append(heads)
             if progress:
                 progress((frame + 1) / len(pixels))
         ids = np.arange(len(pixels)) if frame_ids is None else frame_ids
-        return smoothed(frames, rig.names, ids, times, settings)
+        tracking = gathered(frames, rig.names, ids, times)
+        smooth(tracking, settings)
+        rejoin(tracking, settings)
+        smooth(tracking, settings)
+        if resolve(tracking, seen, settings):
+            smooth(tracking, settings)
+        return tracking.without_the_absent()
 
 
 def _step(
@@ -125,23 +138,17 @@ def _step(
     candidates = np.concatenate([candidates, born])
     is_new = np.arange(len(candidates)) >= len(tracks)
     tracks += [Track.new(state.keys + i, time) for i in range(len(born))]
-    measured = _measured(rig, tracks, candidates, seen, is_new, settings)
-    candidates[~measured.accepted] = -1
+    points, informations, distances2, accepted, states = _measured(rig, tracks, candidates, seen, is_new, settings)
+    candidates[~accepted] = -1
     views = (candidates >= 0).sum(axis=1)
-    after = measured.states
-    near = near_prediction(rays, expected, settings)
-    beside = beside_others(after.mean[:, :3], np.array([track.person > 0 for track in tracks], bool))
-    heads = FrameHeads(
-        tuple(
-            track.after(time, int(views[i]), bool(beside[i]), after.mean[i], after.covariance[i])
-            for i, track in enumerate(tracks)
-        ),
-        np.array([_status(views[i], near[i] if i < len(near) else None, rays) for i in range(len(views))], int),
-        candidates,
-        measured.points,
-        measured.informations,
-        measured.distances2,
-    ).select(measured.accepted | ~is_new)
+    status = status_of(views)
+    near = np.zeros(len(views), bool)
+    near[: len(expected)] = near_prediction(rays, expected, settings).any(axis=1)
+    status[near & (views == 0)] = Status.AMBIGUOUS
+    mean, square = np.asarray(states.mean), np.asarray(states.covariance)
+    beside = beside_others(mean[:, :3], np.array([track.person > 0 for track in tracks], bool))
+    after = [track.after(time, int(views[i]), bool(beside[i]), mean[i], square[i]) for i, track in enumerate(tracks)]
+    heads = FrameHeads(tuple(after), status, candidates, points, informations, distances2).select(accepted | ~is_new)
     tracks, people = named(list(heads.tracks), state.people, settings)
     alive = {track.key for track in tracks}
     heads = replace(heads.select(np.array([track.key in alive for track in heads.tracks], bool)), tracks=tuple(tracks))
@@ -164,15 +171,15 @@ def _measured(
     seen: tuple[Float[np.ndarray, "C K 2"], Float[np.ndarray, "C K"]],
     is_new: Bool[np.ndarray, " T"],
     settings: TrackSettings,
-) -> Measured:
-    """The heads triangulated from their candidates, and their tracks with that."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, State]:
+    """The fields of `Measured`: the heads triangulated from their candidates, and their tracks with that."""
     states = _states(tracks)
     size = len(states.mean)
     pixels, sigma = (_padded(part[np.arange(len(rig)), candidates], size) for part in seen)
     used, new = _padded(candidates >= 0, size), _padded(is_new, size)
     gates = chi2.ppf(settings.gate, (2, 3))
     found = measure(rig, states, new, pixels, used, sigma, np.float64(settings.speed_m_s), gates)
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], found)
+    return tuple(jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], found))
 
 
 def _states(tracks: list[Track]) -> State:
@@ -187,13 +194,6 @@ def _states(tracks: list[Track]) -> State:
 def _padded(values: Shaped[np.ndarray, "T ..."], size: int) -> Shaped[np.ndarray, "size ..."]:
     """With zeros at the end."""
     return np.pad(values, ((0, size - len(values)), *[(0, 0)] * (values.ndim - 1)))
-
-
-def _status(views: int, near: Bool[np.ndarray, " M"] | None, rays: Rays) -> Status:
-    """How a track was measured, or why not, from the number of its views and the rays near where it was expected."""
-    if views:
-        return (Status.ONE_VIEW, Status.TWO_VIEWS, Status.MEASURED)[min(views, 3) - 1]
-    return Status.AMBIGUOUS if near is not None and near.any() else Status.NO_VIEW
 
 
 def _bounds(settings: TrackSettings, room: Float[np.ndarray, "2 3"] | None) -> Float[np.ndarray, "2 3"]:

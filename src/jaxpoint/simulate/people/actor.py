@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from jaxpoint.simulate.people.stance import Stance
 SETTLE_S = 0.7  # an arm goes from one rest to the next
 
 
+@runtime_checkable
 class Move(Protocol):
     """What the legs do for a while."""
 
@@ -70,7 +71,7 @@ class Actor:
 
     def present(self, time: float) -> bool:
         """Whether the person is in the room at this time (s); elsewhere there is neither mesh nor joints."""
-        return self.moves[0].start_s <= time <= self.moves[-1].end_s
+        return bool(self.moves[0].start_s <= time <= self.moves[-1].end_s)
 
     def mesh(self, time: float) -> Mesh:
         """The surface, clothes and all, in world metres."""
@@ -97,7 +98,7 @@ class Actor:
             gesture = self._gesture(time, side)
             arms[side] = rest if gesture is None else gesture.arm(time, rest)
             raised[side] = 0.0 if gesture is None else gesture.raised(time)
-        twist = sum(g.attention(time) * g.twist for g in self.gestures)
+        twist = sum((g.attention(time) * g.twist for g in self.gestures), 0.0)
         pose = pose_of(stance, twist, yawed(stance.yaw) @ AHEAD, arms, raised)
         return replace(pose, gaze=self._gaze(time, pose))
 

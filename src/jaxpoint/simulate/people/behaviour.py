@@ -23,7 +23,8 @@ from jaxpoint.simulate.people.rotations import UP, Matrix, Vector, about, frame_
 from jaxpoint.simulate.people.skeleton import hand_frame, middle_joint, sign
 
 Law = Literal["accurate", "approximate"]
-ROUNDS = 12  # the direction to the target starts at the tip, which depends on that direction
+ROUNDS = 100  # the direction to the target starts at the tip, which depends on that direction
+CLOSE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -133,10 +134,10 @@ def _approximate(person: Person, habit: Habit, trial: Trial, stand: Stand, targe
         out = _elbow_side(stand, side, fore, habit.swivel)
         upper = np.cos(habit.elbow_flexion) * fore + np.sin(habit.elbow_flexion) * out
         wrist = stand.shoulder + size.upper_arm * upper + size.forearm * fore
-        tip = wrist + hand_frame(stand.thorax, side, hand, habit.palm_turn) @ grip(size, side)
-    if (target - tip) @ fore < 0.2:
-        return None
-    return ArmPose(stand.thorax.T @ upper, stand.thorax.T @ fore, hand, habit.palm_turn, 1.0)
+        before, tip = tip, wrist + hand_frame(stand.thorax, side, hand, habit.palm_turn) @ grip(size, side)
+        if np.linalg.norm(tip - before) < CLOSE_M:
+            return ArmPose(stand.thorax.T @ upper, stand.thorax.T @ fore, hand, habit.palm_turn, 1.0)
+    return None
 
 
 def _turned(direction: Vector, azimuth: float, elevation: float) -> Vector:
@@ -148,12 +149,13 @@ def _turned(direction: Vector, azimuth: float, elevation: float) -> Vector:
 
 
 def _elbow_side(stand: Stand, side: Side, along: Vector, swivel: float) -> Vector:
-    """The unit vector across the arm to which the elbow goes: down, and out by the swivel."""
+    """The unit vector across the arm to which the elbow goes: down, and by the swivel out, as the arm lies before one.
+
+    Of an arm held out to its side the elbow turns back.
+    """
     along = unit(along)
-    down = frame_along(along, -UP + 0.15 * -stand.thorax[:, 0])[:, 0]
-    outwards = sign(side) * stand.thorax[:, 1]
-    turn = np.sign(np.cross(along, down) @ outwards) or 1.0
-    return about(along, float(turn) * swivel) @ down
+    down = frame_along(along, -UP - 0.15 * stand.thorax[:, 0])[:, 0]
+    return about(along, sign(side) * swivel) @ down
 
 
 def _radians(rng, spread: Normal) -> float:

@@ -13,7 +13,7 @@ from jaxpoint.simulate.people.hand import hand_surfaces
 from jaxpoint.simulate.people.limbs import arm_surfaces, leg_surfaces, neck_surface
 from jaxpoint.simulate.people.person import Person
 from jaxpoint.simulate.people.surface import Surface
-from jaxpoint.simulate.people.trunk import head_surface, trunk_surface
+from jaxpoint.simulate.people.trunk import head_surface, trunk_surface, yoke_surface
 
 SLOTS = 8  # persons that a mask of 8 bits can tell apart
 MOTTLE_SD = 0.06  # of cloth's albedo, from corner to corner
@@ -59,6 +59,7 @@ def make_body(person: Person) -> Body:
     """The surface of a person; the cap, if there is one, is on the index finger of the hand that points."""
     size = person.proportions
     pieces: list[tuple[str, Part, Surface]] = [("pelvis", Part.BODY, _trunk(person))]
+    pieces += [("thorax", Part.BODY, yoke_surface(person, side)) for side in ("left", "right")]
     pieces += [("neck", Part.NECK, neck_surface(person)), ("head", Part.HEAD, head_surface(person))]
     arm, leg = arm_surfaces(person), leg_surfaces(person)
     for side in ("left", "right"):

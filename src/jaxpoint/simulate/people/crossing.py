@@ -2,83 +2,97 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
+
 import numpy as np
+from jaxtyping import Float
 
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.drawing import draw
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gait import Walk
-from jaxpoint.simulate.people.gestures_only import WALL_MARGIN_M
 from jaxpoint.simulate.people.itinerary import Itinerary
 from jaxpoint.simulate.people.planning import Performer
-from jaxpoint.simulate.people.route import Route, find_route
+from jaxpoint.simulate.people.route import CLEAR_M, Route, line_route
 
-ATTEMPTS = 3000
+LINES = 400  # walks drawn, of which two are kept
+ATTEMPTS = 60  # to time one crossing
 NEAR_M, FAR_M = 0.55, 1.0  # how close they pass
-SHORTEST_M = 2.0  # walk of each
+SHORTEST_M = 1.8  # walk of each
+MIDDLE = 0.25, 0.75  # of both walks, between which they are nearest
 
 
 def crossing(rng: np.random.Generator, settings: PeopleSettings, room: Floor) -> tuple[list[Actor], float]:
-    """Two actors, and the seconds in all.
+    """Two actors who walk to and fro on lines that cross or run side by side, and the seconds in all.
 
     Raises:
         ValueError: the floor is too small or too full for two people to pass.
     """
-    parts: list[Itinerary] = []
-    for number in range(2):
-        where = room.free_place(rng, WALL_MARGIN_M)
-        while parts and np.linalg.norm(where - parts[0].place) < SHORTEST_M:
-            where = room.free_place(rng, WALL_MARGIN_M)
-        performer = Performer.drawn(rng, number, settings)
-        parts.append(Itinerary(performer, where, float(rng.uniform(-np.pi, np.pi)), settings.empty_s))
-    for _ in range(settings.crossings):
-        _pass(rng, parts, settings, room)
-    end = max(part.now for part in parts)
-    for part in parts:
-        part.wait(end - part.now + 0.5)
-    return [part.actor for part in parts], end + 0.5
-
-
-def _pass(rng, parts: list[Itinerary], settings: PeopleSettings, room: Floor) -> None:
-    """One more walk of each, during which they come near each other and go apart again."""
-    for _ in range(ATTEMPTS):
-        routes = [_across(rng, part, room) for part in parts]
-        walks = _meeting(rng, parts, [route for route in routes if route], settings)
-        if walks is None or not _is_crossing(walks):
-            continue
-        for part, walk in zip(parts, walks):
-            turning = part.turning(walk.route.heading(0.0))
-            part.wait(walk.start_s - turning - part.now)
-            part.walk(walk.route, walk.speed)
-        return
+    performers = [Performer.drawn(rng, number, settings) for number in range(2)]
+    for lines in _pairs(rng, _free_lines(rng, room)):
+        parts = [
+            Itinerary(performer, line[0], float(rng.uniform(-np.pi, np.pi)), settings.empty_s)
+            for performer, line in zip(performers, lines)
+        ]
+        if all(_pass(rng, parts, lines, number, settings) for number in range(settings.crossings)):
+            end = max(part.now for part in parts) + 0.5
+            for part in parts:
+                part.wait(end - part.now)
+            return [part.actor for part in parts], end
     raise ValueError(
-        f"In {ATTEMPTS} attempts two people found no way to pass each other {NEAR_M} to {FAR_M} m apart; "
+        f"Among {LINES} walks no two were found on which people pass each other {NEAR_M} to {FAR_M} m apart; "
         "give the room more free floor."
     )
 
 
-def _across(rng, part: Itinerary, room: Floor) -> Route | None:
-    """A long walk from where the person is."""
-    end = room.free_place(rng, WALL_MARGIN_M)
-    return find_route(room, part.place, end) if np.linalg.norm(end - part.place) > SHORTEST_M else None
+def _free_lines(rng, room: Floor) -> Float[np.ndarray, "L 2 3"]:
+    """Ends of straight walks with nothing in the way."""
+    ends = rng.uniform([0.0, 0.0], room.size_m[:2], (LINES * 10, 2, 2))
+    ends = ends[np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > SHORTEST_M]
+    between = ends[:, :1] + np.linspace(0.0, 1.0, 40)[:, None] * (ends[:, 1:] - ends[:, :1])
+    free = room.is_free(between.reshape(-1, 2), CLEAR_M).reshape(between.shape[:2]).all(axis=1)
+    ends = ends[free][:LINES]
+    return np.concatenate([ends, np.zeros((len(ends), 2, 1))], axis=2)
 
 
-def _meeting(rng, parts: list[Itinerary], routes: list[Route], settings: PeopleSettings) -> list[Walk] | None:
-    """Walks timed so that both are where their routes are nearest at about the same moment."""
-    if len(routes) < 2:
-        return None
+def _pairs(rng, lines: Float[np.ndarray, "L 2 3"]) -> Iterator[Float[np.ndarray, "2 2 3"]]:
+    """Two lines that come near in the middle of both, and whose ends lie apart."""
+    share = np.linspace(0.0, 1.0, 21)
+    for i, j in itertools.islice(itertools.combinations(rng.permutation(len(lines)), 2), 5000):
+        places = [line[0] + share[:, None] * (line[1] - line[0]) for line in lines[[i, j]]]
+        apart = np.linalg.norm(places[0][:, None] - places[1][None], axis=2)
+        meeting = share[np.stack(np.unravel_index(np.argmin(apart), apart.shape))]
+        ends = apart[[0, 0, -1, -1], [0, -1, 0, -1]]
+        if apart.min() < FAR_M and (meeting > MIDDLE[0]).all() and (meeting < MIDDLE[1]).all() and ends.min() > FAR_M:
+            yield lines[[i, j]]
+
+
+def _pass(rng, parts: list[Itinerary], lines, number: int, settings: PeopleSettings) -> bool:
+    """One walk of each along its line, every other time backwards, timed so that they pass; False if that fails."""
+    routes = [line_route(line[number % 2], line[1 - number % 2]) for line in lines]
+    for _ in range(ATTEMPTS):
+        walks = _timed(rng, parts, routes, settings)
+        if _is_crossing(walks):
+            for part, walk in zip(parts, walks):
+                part.wait(walk.start_s - part.turning(walk.route.heading(0.0)) - part.now)
+                part.walk(walk.route, walk.speed)
+            return True
+    return False
+
+
+def _timed(rng, parts: list[Itinerary], routes: list[Route], settings: PeopleSettings) -> list[Walk]:
+    """Walks on which both are where their routes are nearest at about the same moment."""
     lines = [route.places[::10] for route in routes]
     apart = np.linalg.norm(lines[0][:, None] - lines[1][None], axis=2)
     nearest = np.unravel_index(np.argmin(apart), apart.shape)
-    if apart[nearest] > FAR_M:
-        return None
     speeds = [draw(rng, settings.walking_m_s) for _ in parts]
     needed = [route.along[::10][i] / speed for route, i, speed in zip(routes, nearest, speeds)]
     ready = [part.now + part.turning(route.heading(0.0)) + 0.2 for part, route in zip(parts, routes)]
     moment = max(start + seconds for start, seconds in zip(ready, needed))
     starts = [moment - seconds for seconds in needed]
-    starts[int(rng.integers(2))] += rng.uniform(0.0, 0.6)
+    starts[int(rng.integers(2))] += rng.uniform(0.0, 0.8)
     sizes = [part.performer.person.proportions for part in parts]
     return [Walk(*given) for given in zip(sizes, routes, starts, speeds)]
 
@@ -90,4 +104,4 @@ def _is_crossing(walks: list[Walk]) -> bool:
     apart = np.linalg.norm(places[0] - places[1], axis=1)
     moment = times[np.argmin(apart)]
     both = all(walk.start_s + 0.6 < moment < walk.end_s - 0.6 for walk in walks)
-    return both and NEAR_M < apart.min() < FAR_M and min(apart[0], apart[-1]) > 1.6 * FAR_M
+    return bool(both and NEAR_M < apart.min() < FAR_M and min(apart[0], apart[-1]) > FAR_M)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxpoint.simulate.people.rotations import Vector
+
+BATCH = 64
 
 
 @dataclass(frozen=True)
@@ -21,8 +24,9 @@ class Chair:
     seat_m: float = 0.45
 
     @property
-    def place(self) -> Float[np.ndarray, "2"]:
-        return np.array([self.x_m, self.y_m])
+    def place(self) -> Vector:
+        """On the floor, below the middle of the seat."""
+        return np.array([self.x_m, self.y_m, 0.0])
 
 
 @dataclass(frozen=True)
@@ -34,40 +38,47 @@ class Floor:
     """x and y of two opposite corners, and height: furniture, chairs too (m)."""
     chairs: Sequence[Chair] = field(default_factory=tuple)
     door: tuple[float, float] | None = None
-    """A place just inside the door, where people appear and vanish; without one it is the freest edge."""
+    """A place just inside the door, where people appear and vanish; without one, somewhere near a wall."""
 
-    def is_free(self, places: Float[np.ndarray, "N 2"], margin: float) -> np.ndarray:
+    def is_free(self, places: Float[np.ndarray, "N 2"], margin: float) -> Bool[np.ndarray, " N"]:
         """Whether each place (x, y) is at least `margin` m away from every wall and obstacle."""
-        size = np.array(self.size_m[:2])
-        free = np.all((places >= margin) & (places <= size - margin), axis=-1)
-        for x0, y0, x1, y1, _ in self.obstacles:
-            low, high = np.array([min(x0, x1), min(y0, y1)]), np.array([max(x0, x1), max(y0, y1)])
-            away = np.maximum(np.maximum(low - places, places - high), 0.0)
-            free = free & (np.linalg.norm(away, axis=-1) >= margin)
-        return np.asarray(free)
+        inside = np.all((places >= margin) & (places <= np.array(self.size_m[:2]) - margin), axis=1)
+        low, high = self._boxes[:, 0, :2], self._boxes[:, 1, :2]
+        away = np.maximum(np.maximum(low - places[:, None], places[:, None] - high), 0.0)
+        return inside & np.all((away**2).sum(axis=2) >= margin**2, axis=1)
 
     def holds(self, points: Float[np.ndarray, "N 3"], margin: float) -> bool:
         """Whether all points (m) are inside the room and outside the furniture, `margin` m away from both."""
-        inside = ((points >= margin) & (points <= np.array(self.size_m) - margin)).all()
-        return bool(inside) and not any(self._within(points, box, margin) for box in self.obstacles)
+        inside = np.all((points >= margin) & (points <= np.array(self.size_m) - margin))
+        low, high = self._boxes[:, 0] - margin, self._boxes[:, 1] + margin
+        within = np.all((points[:, None] > low) & (points[:, None] < high), axis=2)
+        return bool(inside and not within.any())
 
-    def free_place(self, rng: np.random.Generator, margin: float) -> Vector:
-        """A free place (x, y, 0).
+    def free_places(self, rng: np.random.Generator, count: int, margin: float) -> Float[np.ndarray, "N 3"]:
+        """Free places (x, y, 0), drawn evenly.
 
         Raises:
-            ValueError: none is found.
+            ValueError: hardly any place is free.
         """
-        places = rng.uniform([0.0, 0.0], self.size_m[:2], (2000, 2))
-        free = places[self.is_free(places, margin)]
-        if not len(free):
-            raise ValueError(
-                f"The floor has no place that is {margin:.2f} m away from walls and furniture; clear some of it."
-            )
-        return np.array([*free[0], 0.0])
+        found: list[np.ndarray] = []
+        for _ in range(50 * count):
+            places = rng.uniform([0.0, 0.0], self.size_m[:2], (BATCH, 2))
+            found.extend(places[self.is_free(places, margin)])
+            if len(found) >= count:
+                return np.column_stack([found[:count], np.zeros(count)])
+        raise ValueError(
+            f"The floor has no place that is {margin:.2f} m away from walls and furniture; clear some of it."
+        )
 
-    @staticmethod
-    def _within(points, box, margin) -> bool:
-        x0, y0, x1, y1, height = box
-        low = np.array([min(x0, x1), min(y0, y1), 0.0]) - margin
-        high = np.array([max(x0, x1), max(y0, y1), height]) + margin
-        return bool(((points > low) & (points < high)).all(axis=1).any())
+    def without(self, place: Vector) -> Floor:
+        """The same without the furniture that stands over a place: a seat, for who sits on it."""
+        over = np.all((place[:2] > self._boxes[:, 0, :2]) & (place[:2] < self._boxes[:, 1, :2]), axis=1)
+        return replace(self, obstacles=[box for box, taken in zip(self.obstacles, over) if not taken])
+
+    @cached_property
+    def _boxes(self) -> Float[np.ndarray, "B 2 3"]:
+        """Lowest and highest corner of every obstacle."""
+        given = np.array(self.obstacles, float).reshape(-1, 5)
+        ends = given[:, :4].reshape(-1, 2, 2)
+        height = np.stack([np.zeros(len(given)), given[:, 4]], axis=1)
+        return np.concatenate([np.sort(ends, axis=1), height[:, :, None]], axis=2)

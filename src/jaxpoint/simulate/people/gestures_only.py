@@ -54,7 +54,7 @@ def stand_and_point(
     """
     for _ in range(ATTEMPTS):
         target = draw_target(rng, settings, objects, room)
-        where = room.free_place(rng, WALL_MARGIN_M)
+        where = room.free_places(rng, 1, WALL_MARGIN_M)[0]
         away = target.place - where
         if not settings.target_distance_m.low <= np.hypot(away[0], away[1]) <= settings.target_distance_m.high:
             continue

@@ -18,7 +18,7 @@ Y = np.array([0.0, 1.0, 0.0])
 # Knuckle's place across the hand (of half its breadth), length over the index finger's, radius (of the stature).
 KNUCKLES = {"index": 0.72, "middle": 0.24, "ring": -0.24, "little": -0.70}
 LENGTHS = {"index": 1.0, "middle": 1.08, "ring": 1.0, "little": 0.80}
-RADIUS = {"index": 0.0048, "middle": 0.0050, "ring": 0.0047, "little": 0.0041, "thumb": 0.0058}
+RADIUS = {"index": 0.0050, "middle": 0.0051, "ring": 0.0048, "little": 0.0043, "thumb": 0.0058}
 NEAR = 0.52  # of a finger's length lies before its bend
 # Bend (rad) at the knuckle and in the middle: hanging loosely, and pointing with the index finger.
 LOOSE = {"index": (0.25, 0.35), "middle": (0.35, 0.45), "ring": (0.42, 0.5), "little": (0.45, 0.5)}
@@ -100,4 +100,4 @@ def _segment(person: Person, length: float, radii: tuple[float, float], cap: flo
     covered = (heights > length - cap) & (cap > 0)
     around = around + 0.0012 * (covered & (around > 0))
     colour = np.where(covered[:, None], person.cap if person.cap is not None else person.skin, person.skin)
-    return loft(heights, np.stack([around, around], 1), colour, around=8 if cap else 7)
+    return loft(heights, np.stack([around, around], 1), colour, around=8)

@@ -65,7 +65,7 @@ class Itinerary:
         if route.length < SHORTEST_WALK_M:
             return
         self.turn(route.heading(0.0))
-        self._rest(HANGING)
+        self.rest_as(HANGING)
         self._add(Walk(self.performer.person.proportions, route, self.now, speed))
         self.place, self.yaw = route.at(route.length), route.heading(route.length)
 
@@ -74,7 +74,7 @@ class Itinerary:
         self.turn(chair.yaw)
         size = self.performer.person.proportions
         seat = sitting(size, chair.place, chair.yaw, chair.seat_m)
-        self._rest(LAP)
+        self.rest_as(LAP)
         self._add(SitDown(self.now, self.stance, seat))
         self.seat = seat
 
@@ -83,11 +83,10 @@ class Itinerary:
         if self.seat is None:
             return
         seat, self.seat = self.seat, None
-        self._rest(HANGING)
-        self._add(SitDown(self.now, self.stance, seat, up=True))
-
-    def rest_as(self, rest: dict[Side, Rest]) -> None:
-        self._rest(rest)
+        rise = SitDown(self.now, self.stance, seat, up=True)
+        self._add(rise)
+        # Hands leave the lap when it has gone.
+        self.rests.append(RestFrom(rise.start_s + 0.5 * (rise.end_s - rise.start_s), HANGING))
 
     def point(self, rng: np.random.Generator, settings: PeopleSettings, objects: Sequence, room: Floor) -> bool:
         """Turn to a target and point at it; False, and nothing added, where no target can be pointed at from here."""
@@ -125,6 +124,7 @@ class Itinerary:
         self.moves.append(move)
         self.now = move.end_s
 
-    def _rest(self, rest: dict[Side, Rest]) -> None:
+    def rest_as(self, rest: dict[Side, Rest]) -> None:
+        """From now on the arms rest like this."""
         if rest != self.rests[-1].rest:
             self.rests.append(RestFrom(self.now, rest))

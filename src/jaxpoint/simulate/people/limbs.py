@@ -15,9 +15,9 @@ from jaxpoint.simulate.people.surface import Surface, loft
 SPACING_M = 0.026
 # Along the bone (0..1): half width over stature of an average build. Girths after the means of Winter's and NASA-STD-
 # 3000's tables: upper arm 30 cm around, forearm 27, wrist 17, thigh 56, calf 37, ankle 23.
-UPPER_ARM = ((0.0, 0.0260), (0.12, 0.0290), (0.3, 0.0300), (0.6, 0.0280), (0.9, 0.0245), (1.0, 0.0240))
-FOREARM = ((0.0, 0.0240), (0.25, 0.0252), (0.5, 0.0225), (0.85, 0.0160), (1.0, 0.0150))
-THIGH = ((0.0, 0.0500), (0.3, 0.0490), (0.7, 0.0395), (1.0, 0.0335))
+UPPER_ARM = ((0.0, 0.0260), (0.12, 0.0290), (0.3, 0.0300), (0.6, 0.0280), (0.9, 0.0243), (1.0, 0.0236))
+FOREARM = ((0.0, 0.0250), (0.25, 0.0252), (0.5, 0.0225), (0.85, 0.0160), (1.0, 0.0150))
+THIGH = ((0.0, 0.0530), (0.15, 0.0525), (0.3, 0.0495), (0.7, 0.0395), (1.0, 0.0335))
 SHANK = ((0.0, 0.0325), (0.3, 0.0340), (0.65, 0.0255), (0.9, 0.0205), (1.0, 0.0205))
 FOREARM_BULGE_M = 0.003
 CALF_BULGE_M = 0.006

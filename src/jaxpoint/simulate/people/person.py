@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.config.people import LooksSettings
-from jaxpoint.simulate.people import skin
+from jaxpoint.simulate.people import colours
 from jaxpoint.simulate.people.drawing import chosen, draw
 from jaxpoint.simulate.people.proportions import Proportions
 
@@ -50,7 +50,7 @@ def draw_person(rng: np.random.Generator, number: int, settings: LooksSettings) 
     which = "no"
     if rng.random() < settings.clothes_like_skin:
         which = "shirt" if rng.random() < 0.6 else "trousers"
-    cap = skin.linear_from_hex(str(rng.choice(skin.CAPS))) if rng.random() < settings.cap else None
+    cap = colours.linear_from_hex(str(rng.choice(colours.CAPS))) if rng.random() < settings.cap else None
     tone = draw(rng, settings.skin_tone)
     head = rng.random()
     return Person(
@@ -59,12 +59,12 @@ def draw_person(rng: np.random.Generator, number: int, settings: LooksSettings) 
         build=draw(rng, settings.build),
         handed="left" if rng.random() < settings.left_handed else "right",
         tone=tone,
-        skin=skin.skin_albedo(rng, tone),
-        hair=_cloth(rng, skin.HAIR),
+        skin=colours.skin_albedo(rng, tone),
+        hair=_cloth(rng, colours.HAIR if tone < 0.5 else colours.LIGHT_HAIR),
         hair_style="bald" if head < settings.bald else "long" if head > 1 - settings.long_hair else "short",
-        shirt=_cloth(rng, skin.CLOTHES_LIKE_SKIN if which == "shirt" else skin.CLOTHES),
+        shirt=_cloth(rng, colours.CLOTHES_LIKE_SKIN if which == "shirt" else colours.CLOTHES),
         pattern="plain" if rng.random() >= settings.patterned else "stripes" if rng.random() < 0.5 else "mottled",
-        trousers=_cloth(rng, skin.CLOTHES_LIKE_SKIN if which == "trousers" else skin.CLOTHES),
+        trousers=_cloth(rng, colours.CLOTHES_LIKE_SKIN if which == "trousers" else colours.CLOTHES),
         shoes=_cloth(rng, ("1c1a18", "3a2a20", "e8e8e8", "27313d")),
         sleeve=chosen(rng, vars(settings.sleeves)),
         shorts=rng.random() < settings.shorts,
@@ -76,4 +76,4 @@ def draw_person(rng: np.random.Generator, number: int, settings: LooksSettings) 
 
 def _cloth(rng, codes) -> np.ndarray:
     """One of the colours, a little lighter or darker."""
-    return np.clip(skin.linear_from_hex(str(rng.choice(codes))) * rng.uniform(0.85, 1.15), 0.0, 0.95)
+    return np.clip(colours.linear_from_hex(str(rng.choice(codes))) * rng.uniform(0.85, 1.15), 0.0, 0.95)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from jaxpoint.simulate.people.trunk import eyes
 TWIST_SHARE, TWIST_MOST = 0.5, np.deg2rad(30.0)  # the trunk turns half of the way to the target
 ACROSS, OUTWARDS = np.deg2rad(60.0), np.deg2rad(100.0)  # how far from straight ahead an arm points
 STEEPEST = np.deg2rad(65.0)
+NEAREST_M = 1.2  # from the shoulder; what is nearer is touched, not pointed at
 WALL_M = 0.03
 BEFORE_CHEST = 0.11  # of stature: how far before the spine a pointing wrist is at least
 
@@ -35,13 +36,12 @@ class Target:
     place: Vector
 
 
-@dataclass
+@dataclass(frozen=True)
 class Performer:
-    """A person, how they point, and what they have done so far."""
+    """A person and how they point."""
 
     person: Person
     habit: Habit
-    gestures: list[Gesture] = field(default_factory=list)
 
     @staticmethod
     def drawn(rng: np.random.Generator, number: int, settings: PeopleSettings) -> Performer:
@@ -87,10 +87,10 @@ def plan_gesture(
     pose = _raised(performer, stance, twist, target.place)
     stand = _stand(person, habit, pose)
     seen = target.place - stand.shoulder
-    if np.arctan2(abs(seen[2]), np.hypot(seen[0], seen[1])) > STEEPEST:
+    if np.arctan2(abs(seen[2]), np.hypot(seen[0], seen[1])) > STEEPEST or seen @ seen < NEAREST_M**2:
         return None
     arm = aim(person, habit, trial, stand, target.place)
-    if arm is None or not _is_possible(person, habit.hand, pose, arm, room):
+    if arm is None or not _is_possible(person, habit.hand, pose, arm, room.without(stance.pelvis)):
         return None
     up, hold, down = draw_times(rng, settings.hold)
     return Gesture(

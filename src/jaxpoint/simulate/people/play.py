@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -18,6 +18,7 @@ from jaxpoint.simulate.people.gestures_only import gestures_only
 from jaxpoint.simulate.people.session import session
 
 
+@runtime_checkable
 class Pointable(Protocol):
     """Something to point at."""
 

@@ -16,6 +16,7 @@ from jaxpoint.simulate.people.rotations import Vector
 GRID_M = 0.1
 CLEAR_M = 0.33  # the route keeps this far from walls and furniture
 STEP_M = 0.02
+Place = Float[np.ndarray, " N"]  # x, y, and perhaps a height, which is not looked at
 ROUND_M = 0.18  # standard deviation of the filter that rounds corners
 
 
@@ -49,7 +50,12 @@ def find_route(room: Floor, start: Vector, end: Vector) -> Route | None:
     return None if corners is None else _rounded(corners)
 
 
-def _straight(room: Floor, start: Vector, end: Vector) -> np.ndarray | None:
+def line_route(start: Vector, end: Vector) -> Route:
+    """Straight from one place to another."""
+    return _rounded(np.stack([start[:2], end[:2]]))
+
+
+def _straight(room: Floor, start: Place, end: Place) -> np.ndarray | None:
     """Both ends, if nothing stands between them; the ends themselves may be close to a chair or a door."""
     steps = max(int(np.linalg.norm(end[:2] - start[:2]) / 0.05), 2)
     between = start[:2] + np.linspace(0.0, 1.0, steps)[1:-1, None] * (end[:2] - start[:2])

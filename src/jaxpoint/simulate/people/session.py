@@ -9,15 +9,18 @@ import numpy as np
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.drawing import draw
-from jaxpoint.simulate.people.floor import Floor
+from jaxpoint.simulate.people.floor import Chair, Floor
 from jaxpoint.simulate.people.gestures_only import WALL_MARGIN_M, other_arm
 from jaxpoint.simulate.people.itinerary import Itinerary
 from jaxpoint.simulate.people.planning import Performer
+from jaxpoint.simulate.people.proportions import Proportions
 from jaxpoint.simulate.people.rotations import Vector
+from jaxpoint.simulate.people.stance import before_seat
 
 ATTEMPTS = 60
 APART_M = 0.65  # between the middles of two people, at every moment
 CHECKED_S = 0.2
+STAND_M = 0.22  # free floor around who stands before a chair
 
 
 def session(
@@ -77,23 +80,31 @@ def _go_somewhere(rng, part: Itinerary, settings: PeopleSettings, room: Floor) -
     """To a chair and sit, or to a free place and stand with the arms at rest."""
     part.rise()
     speed = draw(rng, settings.walking_m_s)
-    if len(room.chairs) and rng.random() < settings.sitting:
-        chair = room.chairs[int(rng.integers(len(room.chairs)))]
+    chairs = usable_chairs(part.performer.person.proportions, room)
+    if chairs and rng.random() < settings.sitting:
+        chair = chairs[int(rng.integers(len(chairs)))]
         if not part.walk_to_chair(room, chair, speed):
             return False
         part.sit(chair)
         return True
-    if not part.walk_to(room, room.free_place(rng, WALL_MARGIN_M), speed):
+    if not part.walk_to(room, room.free_places(rng, 1, WALL_MARGIN_M)[0], speed):
         return False
     part.rest_as(other_arm(rng, part.performer.habit.hand))
     return True
+
+
+def usable_chairs(size: Proportions, room: Floor) -> list[Chair]:
+    """Chairs before which there is room to stand."""
+    fronts = [before_seat(size, chair.place, chair.yaw)[None, :2] for chair in room.chairs]
+    cleared = [room.without(chair.place) for chair in room.chairs]
+    return [c for c, front, floor in zip(room.chairs, fronts, cleared) if floor.is_free(front, STAND_M).all()]
 
 
 def entrance(rng: np.random.Generator, room: Floor) -> Vector:
     """The door, or without one a free place near the middle of a wall."""
     if room.door is not None:
         return np.array([*room.door, 0.0])
-    places = np.array([room.free_place(rng, WALL_MARGIN_M) for _ in range(30)])
+    places = room.free_places(rng, 30, WALL_MARGIN_M)
     edge = np.minimum(places, np.array([*room.size_m[:2], np.inf]) - places)[:, :2].min(axis=1)
     return places[np.argmin(edge)]
 

@@ -19,7 +19,7 @@ SIDES: tuple[Side, Side] = ("left", "right")
 FORWARD, LEFT = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 HEAD_YAW, HEAD_PITCH = np.deg2rad(70.0), np.deg2rad(50.0)  # the eyes do the rest
 # A raised arm takes its shoulder with it, forwards and up, over stature.
-SHOULDER_RAISE = np.array([0.008, 0.0, 0.012])
+SHOULDER_RAISE = np.array([0.008, 0.0, 0.006])
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jaxpoint.simulate.people.rotations import Vector, smooth, yawed
 from jaxpoint.simulate.people.skeleton import SIDES, sign
 
 STRAIGHT = 0.997  # of the length of a leg: nobody stands with locked knees
-SIT_S = 1.3
+SIT_S = 1.6
 SIT_LEAN = 0.55  # rad, half way
 TOES_OUT = np.deg2rad(8.0)
 

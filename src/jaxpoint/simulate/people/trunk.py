@@ -5,17 +5,18 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.simulate.people.person import Person
-from jaxpoint.simulate.people.surface import Surface, corner_normals, loft
+from jaxpoint.simulate.people.person import Person, Side
+from jaxpoint.simulate.people.surface import Surface, corner_normals, loft, mirrored
 
 # Height, half breadth, half depth, and how far forward the middle lies, all over stature.
 SECTIONS = np.array(
     [
-        [0.462, 0.0, 0.0, 0.000],
-        [0.465, 0.050, 0.040, 0.000],
-        [0.490, 0.090, 0.062, -0.004],
-        [0.520, 0.100, 0.070, -0.006],
-        [0.550, 0.099, 0.067, -0.003],
+        [0.472, 0.0, 0.0, 0.000],
+        [0.474, 0.025, 0.025, 0.000],
+        [0.490, 0.060, 0.042, -0.003],
+        [0.515, 0.090, 0.058, -0.005],
+        [0.540, 0.100, 0.067, -0.004],
+        [0.560, 0.098, 0.066, -0.001],
         [0.580, 0.091, 0.061, 0.003],
         [0.610, 0.085, 0.059, 0.005],
         [0.640, 0.084, 0.060, 0.004],
@@ -34,10 +35,13 @@ SECTIONS = np.array(
 )
 BELT = 0.572  # of stature: shirt above, trousers below
 HEM_M = 0.012
+# Half axes of the yoke over stature (forwards, up, to the side), and where its middle lies from the shoulder.
+YOKE = (0.037, 0.039, 0.042)
+YOKE_ASIDE, YOKE_DROP = 0.089, 0.012
 # Half axes of the head over stature: depth, breadth, height (chin to crown 0.130).
 HEAD = np.array([0.056, 0.0445, 0.065])
 EYE = np.array([0.87, 0.40, 0.02])  # of those half axes
-AROUND, LEVELS = 22, 17
+AROUND, LEVELS = 24, 17
 
 
 def trunk_surface(person: Person) -> Surface:
@@ -56,6 +60,21 @@ def trunk_surface(person: Person) -> Surface:
     belly = max(person.build - 1.0, 0.0) * 0.10 * np.exp(-(((heights - 0.61) / 0.06) ** 2))
     centers = np.stack([(forward + belly) * person.stature_m, np.zeros(len(heights))], 1)
     return loft(heights * person.stature_m, half, colour, around=24, centers=centers, exponent=2.4)
+
+
+def yoke_surface(person: Person, side: Side) -> Surface:
+    """Where chest and upper arm meet, so that a raised arm leaves no gap; z to the side, in the thorax's frame."""
+    size, height = person.proportions, person.stature_m
+    shares = np.array([-1.0, -0.9, -0.6, -0.2, 0.2, 0.55, 0.85, 1.0])
+    round_ = np.sqrt(np.clip(1 - shares**2, 0.0, 1.0))
+    half = np.outer(round_, YOKE[:2]) * height * (0.5 + 0.5 * person.build)
+    made = loft(shares * YOKE[2] * height, half, np.tile(person.shirt, (len(shares), 1)), around=14)
+    down = size.shoulder_height - size.neck_height - YOKE_DROP * height
+    # The loft's z goes to the left, its x forwards, its y down.
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    middle = np.array([-0.002 * height, YOKE_ASIDE * height, down])
+    left = Surface(made.vertices @ turn.T + middle, made.normals @ turn.T, made.triangles, made.albedo)
+    return left if side == "left" else mirrored(left)
 
 
 def eyes(person: Person) -> dict[str, Float[np.ndarray, "3"]]:
@@ -104,6 +123,6 @@ def _hair(person: Person, ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
 def _features(ball: Float[np.ndarray, "V 3"]) -> np.ndarray:
     """Darker eyes, brows and mouth."""
     x, y, z = ball.T
-    eye = np.exp(-(((np.abs(y) - 0.40) / 0.14) ** 2) - ((z - 0.06) / 0.10) ** 2)
-    mouth = 0.5 * np.exp(-((y / 0.22) ** 2) - ((z + 0.55) / 0.07) ** 2)
-    return 1 - 0.6 * np.clip((eye + mouth) * (x > 0), 0.0, 1.0)
+    eye = np.exp(-(((np.abs(y) - 0.40) / 0.12) ** 2) - ((z - 0.06) / 0.09) ** 2)
+    mouth = 0.4 * np.exp(-((y / 0.22) ** 2) - ((z + 0.55) / 0.07) ** 2)
+    return 1 - 0.7 * np.clip((eye + mouth) * (x > 0), 0.0, 1.0)

@@ -14,7 +14,8 @@ TONE_SD = np.array([1.5, 1.2, 1.5])  # of people of the same tone; about the 1.7
 D65 = np.array([0.95047, 1.0, 1.08883])
 SRGB_FROM_XYZ = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
-HAIR = ("17120f", "241a14", "3b2a1e", "5a4030", "8a6a45", "b89a6a", "8c8985", "c8c5c0")
+HAIR = ("17120f", "241a14", "3b2a1e", "8c8985", "c8c5c0")
+LIGHT_HAIR = (*HAIR, "5a4030", "8a6a45", "b89a6a")  # beside light skin
 CLOTHES = ("20242c", "33415c", "5b6f8f", "2f5d50", "6e7f5a", "8c2f39", "b0b4ba", "e6e6e2", "4a4a4a", "7a5c8e", "2a7fa0")
 CLOTHES_LIKE_SKIN = ("d9b99b", "c99a7a", "e3b7a5", "d8a39a", "a97c5d", "8a5f45", "c4a484", "e0c4a8")
 CAPS = ("00c040", "0060ff", "ff00c0", "00c8d8", "ffe000")
