@@ -115,7 +115,7 @@ def score_session(
 
 def _learnt(session: SimulatedSession, camera: int, person: PersonSettings):
     images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
-    counts = [motion_between(a, b, person.motion).edges for a, b in pairwise(images)]
+    counts = np.array([motion_between(a, b, person.motion).edges for a, b in pairwise(images)])
     return learn_background(images, person.background), learn_threshold(counts, person.motion)
 
 
