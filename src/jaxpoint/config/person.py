@@ -65,7 +65,7 @@ class BackgroundSettings:
     """Largest sum of the differences in Cr and Cb of a shadow, grey levels."""
     shadow_texture: Positive = 0.05
     """Largest standard deviation, among neighbours, of the factor by which a shadow darkens the room."""
-    min_frames: Count = 20
+    min_frames: Count = 10
     """Fewest images from which a background is learnt."""
     max_frames: Count = 100
     """Images used, spread over the recording."""
