@@ -204,7 +204,7 @@ def sharpened(
     y, cr, cb = cv2.split(
         cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
     )
-    differs = cv2.compare(cv2.add(cv2.add(y, cr), cb), threshold, cv2.CMP_GT)
+    differs = cv2.threshold(cv2.add(cv2.add(y, cr), cb), threshold, 255, cv2.THRESH_BINARY)[1]
     return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
 
 
