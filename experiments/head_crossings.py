@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+import jax
 import numpy as np
 import tyro
 from rich.progress import track
@@ -53,7 +54,8 @@ def main(settings: HeadCrossings) -> None:
 def one(seed: int, kind: Meeting) -> tuple[bool, bool, np.ndarray, np.ndarray]:
     """Whether ids were swapped, whether there were others than two, and errors (m) apart and beside one another."""
     meeting = random_meeting(seed, kind=kind)
-    heads = track_heads(meeting.room.rig, meeting.pixels, meeting.valid, meeting.times).heads
+    with jax.enable_x64(True):
+        heads = track_heads(meeting.room.rig, meeting.pixels, meeting.valid, meeting.times).heads
     gaps = np.linalg.norm(heads.positions[:, :, None] - meeting.places[:, None], axis=-1)
     apart = np.linalg.norm(meeting.places[:, 0] - meeting.places[:, 1], axis=1) > APART_M
     whose, error = gaps.argmin(axis=2), gaps.min(axis=2)

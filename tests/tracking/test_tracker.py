@@ -33,7 +33,7 @@ def apart(meeting):
 
 @pytest.fixture(scope="module")
 def crossings():
-    meetings = [random_meeting(seed, kind=KINDS[seed % 2]) for seed in CROSSINGS]
+    meetings = [random_meeting(seed, kind=KINDS[seed % 2], seconds=5.0) for seed in CROSSINGS]
     return [(meeting, tracked(meeting)) for meeting in meetings]
 
 

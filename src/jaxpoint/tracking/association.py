@@ -10,6 +10,7 @@ believed only where it continues a track, or where neither view has another expl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -97,9 +98,15 @@ def associate(
     return Association(np.array(tracks, int), np.array(taken, int).reshape(-1, cameras))
 
 
+@lru_cache
+def quantile(share: float, degrees: int) -> float:
+    """Of the chi-square distribution."""
+    return float(chi2.ppf(share, degrees))
+
+
 def near_prediction(rays: Rays, predictions: Predictions, settings: TrackSettings) -> Bool[np.ndarray, "T M"]:
     """Which rays pass within the gate of where tracks are expected."""
-    return _deviation(rays, predictions.points, predictions.covariances) <= chi2.ppf(settings.gate, 2)
+    return _deviation(rays, predictions.points, predictions.covariances) <= quantile(settings.gate, 2)
 
 
 def _best(hypotheses: Hypotheses) -> Hypotheses | None:
@@ -127,7 +134,7 @@ def _hypotheses(
     bounds: Float[np.ndarray, "2 3"],
 ) -> Hypotheses:
     """Every place that rays support, as a new head and as the next one of each track that it may be."""
-    gate = float(chi2.ppf(settings.gate, 2))
+    gate = quantile(settings.gate, 2)
     new = _new_heads(rays, settings, gate, bounds)
     tracks, members = _of_tracks(rays, predictions, np.flatnonzero(free), gate, new)
     prior = Predictions(predictions.points[tracks], predictions.covariances[tracks])
@@ -170,8 +177,9 @@ def _of_tracks(
     tracks = np.concatenate([free, free[track]])
     members = np.concatenate([members, new.members[head]])
     seen = members.any(axis=1)
-    both = np.unique(np.column_stack([tracks[seen], members[seen]]), axis=0)
-    return both[:, 0].astype(int), both[:, 1:].astype(bool)
+    tracks, members = tracks[seen], members[seen]
+    once = _first_of_each(np.column_stack([tracks[:, None] == free, members]))
+    return tracks[once], members[once]
 
 
 def _usable(hypotheses: Hypotheses, rays: Rays, gate: float, bounds: Float[np.ndarray, "2 3"]) -> Hypotheses:
@@ -222,7 +230,7 @@ def _deviation(
     if covariances is None:
         deviation = (across**2).sum(axis=-1) / sigma**2
     else:
-        spread = np.einsum("mai,hij,mbj->hmab", rays.axes, covariances, rays.axes, optimize=True)
+        spread = rays.axes @ covariances[:, None] @ rays.axes.swapaxes(1, 2)
         xx, xy, yy = spread[..., 0, 0] + sigma**2, spread[..., 0, 1], spread[..., 1, 1] + sigma**2
         x, y = across[..., 0], across[..., 1]
         deviation = (yy * x**2 - 2 * xy * x * y + xx * y**2) / (xx * yy - xy**2)
@@ -242,7 +250,15 @@ def _nearest(rays: Rays, deviation: Float[np.ndarray, "H M"], gate: float) -> Bo
 
 def _several(members: Bool[np.ndarray, "H M"]) -> Bool[np.ndarray, "G M"]:
     """The sets of two rays or more, each once."""
-    return np.unique(members[members.sum(axis=1) >= 2], axis=0)
+    return members[_first_of_each(members) & (members.sum(axis=1) >= 2)]
+
+
+def _first_of_each(rows: Bool[np.ndarray, "H W"]) -> Bool[np.ndarray, " H"]:
+    """Which rows no earlier one equals."""
+    packed = np.ascontiguousarray(np.packbits(rows, axis=1))
+    first = np.zeros(len(rows), bool)
+    first[np.unique(packed.view(f"V{packed.shape[1]}").ravel(), return_index=True)[1]] = True
+    return first
 
 
 def _fit(

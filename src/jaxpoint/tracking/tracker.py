@@ -8,12 +8,11 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
-from scipy.stats import chi2
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
-from jaxpoint.tracking.association import Predictions, associate, near_prediction
+from jaxpoint.tracking.association import Predictions, associate, near_prediction, quantile
 from jaxpoint.tracking.encounters import Seen, rejoin, resolve
 from jaxpoint.tracking.identity import Track, beside_others, named
 from jaxpoint.tracking.kalman import State
@@ -177,7 +176,7 @@ def _measured(
     size = len(states.mean)
     pixels, sigma = (_padded(part[np.arange(len(rig)), candidates], size) for part in seen)
     used, new = _padded(candidates >= 0, size), _padded(is_new, size)
-    gates = chi2.ppf(settings.gate, (2, 3))
+    gates = np.array([quantile(settings.gate, 2), quantile(settings.gate, 3)])
     found = measure(rig, states, new, pixels, used, sigma, np.float64(settings.speed_m_s), gates)
     return tuple(jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], found))
 
