@@ -48,7 +48,7 @@ from jaxpoint.detect.thesis import thesis_forearm
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.video import open_frames
 from jaxpoint.person.arms import find_arm
-from pose2sim import BAR, BARRED, BARRED_SIZE, Labels, located, read_labels, video_rig
+from pose2sim import BAR, BARRED, BARRED_SIZE, Labels, located, missed, read_labels, video_rig
 
 Row = tuple[str, str, str]
 Found = list[list[tuple[Silhouette, Head] | None]]  # C cameras, F images
@@ -141,7 +141,7 @@ def joint_track(rig: CameraRig, labels: dict[tuple[int, str], Labels], joint: st
         np.concatenate([one.pixels for one in chosen]),
         np.concatenate([one.seen for one in chosen]),
     )
-    return CubicSpline(frames, located(rig, stacked).points)(np.arange(FRAMES))
+    return CubicSpline(frames, np.asarray(located(rig, stacked).points))(np.arange(FRAMES))
 
 
 def still(folder: Path, camera: str, images: list[Image]) -> Image:
@@ -207,10 +207,10 @@ def heads_in_space(rig: CameraRig, found: Found, cap: Float[np.ndarray, "F 3"]) 
             if one is not None and one[1].found:
                 pixels[k, i], seen[k, i] = (one[1].x, one[1].y), True
     heads = Labels(("head",) * FRAMES, pixels, seen)
-    worst = np.linalg.norm(located(rig, heads).residuals, axis=2)
+    worst = np.linalg.norm(missed(rig, heads), axis=2)
     outlying = (worst == worst.max(axis=1, keepdims=True)) & (worst > DROPPED_PX) & (seen.sum(axis=1) > 2)[:, None]
     heads = replace(heads, seen=seen & ~outlying)
-    off = (located(rig, heads).points - cap)[::5]
+    off = (np.asarray(located(rig, heads).points) - cap)[::5]
     size = 100 * np.linalg.norm(off, axis=1)
     yield (
         "head in 3-D beside the labelled cap, 20 frames: median, 95 %, largest",
@@ -377,7 +377,8 @@ def hands(data: Path, out: Path) -> Iterator[Row]:
             f"skin {kind}: nearer end of the region's axis to the index fingertip, in hand sizes; within a quarter",
             f"median {np.median(tip):.2f}; {(tip < 0.25).sum()}",
         )
-    sheet(out / "hands.png", [hand_drawn(image, points) for image, points in labelled], 8)
+    by_shape = sorted(labelled, key=lambda one: one[0].shape[0] / one[0].shape[1])
+    sheet(out / "hands.png", [hand_drawn(image, points) for image, points in by_shape], 4)
 
 
 def read_hands(folder: Path) -> Iterator[tuple[Image, Float[np.ndarray, "K 2"]]]:

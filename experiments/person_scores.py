@@ -20,7 +20,7 @@ from jaxpoint.detect.motion import learn_threshold, motion_between
 from jaxpoint.detect.person import PersonWatch
 from jaxpoint.detect.silhouette import foreground, learn_background, silhouettes
 from jaxpoint.detect.thesis import thesis_forearm
-from jaxpoint.person.arms import ArmReason, PointingArm
+from jaxpoint.person.arms import ArmReason, PointingArm, find_arm
 from jaxpoint.person.following import follow
 from jaxpoint.person.views import watch
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
@@ -68,15 +68,17 @@ class GestureScore:
     frames: int
     answered: int  # frames with an axis
     direction_deg: float  # of the hold's median axis against the true one
+    two_views_deg: float  # direction from the two and from the three views that see most of the forearm; NaN where
+    three_views_deg: float  # fewer than three are usable
     tip_m: float
     head_m: tuple[float, ...]  # of every frame
     arm_ms: float  # of all views of a frame together
 
 
 def score_session(
-    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, gestures: Sequence[int] | None = None
+    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, every: int = 1
 ) -> tuple[list[ViewScore], list[GestureScore]]:
-    """Run both methods over the holds of one session."""
+    """Run both methods over the holds of one session, of which every so many frames are looked at."""
     person = person or PersonSettings()
     session = simulate_session(settings, seed)
     cameras = range(len(session.viewpoints))
@@ -84,11 +86,9 @@ def score_session(
     focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
     views, scores = [], []
     for gesture in session.gestures:
-        if gestures is not None and gesture.number not in gestures:
-            continue
         first = session.frame_at(gesture.hold_first_s) + 1
-        moments = range(first - LEAD, session.frame_at(gesture.hold_last_s))
-        held = range(first, moments.stop)
+        held = range(first, session.frame_at(gesture.hold_last_s), every)
+        moments = [*range(first - LEAD, first), *held]
         shown: dict[tuple[int, int], SimulatedFrame] = {}
         seen, spent = [], np.zeros(len(cameras))
         for camera in cameras:
@@ -109,13 +109,64 @@ def score_session(
             for camera in cameras:
                 frame, arm = shown[moment, camera], arms.get(moment)
                 views.append(_view_score(session, gesture, frame, arm, rooms[camera][0], person, spent))
-        scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, arm_ms))
+        fewer = _with_fewer_views(session, gesture, held, moments, following, seen, shown)
+        scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, fewer, arm_ms))
     return views, scores
+
+
+def _with_fewer_views(session, gesture, held, moments, following, seen, shown) -> tuple[float, float]:
+    """Direction of the hold, degrees off, from the two and from the three best usable views alone."""
+    heads = following.tracking.heads
+    axes: dict[int, list[np.ndarray]] = {2: [], 3: []}
+    true_axes = []
+    for moment in held:
+        row, truth = moments.index(moment), _joints(session, gesture, moment)
+        usable = _usable(shown, gesture, moment, len(seen))
+        off = np.linalg.norm(heads.positions[row] - truth["head"], axis=1)
+        who = int(np.where(heads.present[row], off, np.inf).argmin()) if heads.present[row].any() else -1
+        if len(usable) < 3 or who < 0 or off[who] > 0.3:
+            continue
+        head = heads.positions[row, who]
+        pixels = np.asarray(session.rig.project(head))
+        sightings = following.sightings[row, who]
+        found = {}
+        for count in axes:
+            crops = [
+                seen[c].crop(sightings[c]) if c in usable[:count] and sightings[c] >= 0 else None
+                for c in range(len(seen))
+            ]
+            found[count] = find_arm(session.rig, crops, head, pixels)
+        if found[2] is not None and found[3] is not None:
+            for count in axes:
+                axes[count].append(found[count].direction)
+            true_axes.append(_forearm(truth, gesture.hand))
+    if not true_axes:
+        return np.nan, np.nan
+    return _apart(axes[2], true_axes), _apart(axes[3], true_axes)
+
+
+def _usable(shown, gesture, moment: int, cameras: int) -> list[int]:
+    """Cameras that see enough of the forearm from the side, those that see most of it first."""
+    truth = {
+        camera: next(v for v in shown[moment, camera].views if v.person == gesture.person) for camera in range(cameras)
+    }
+    usable = [c for c, v in truth.items() if v.forearm_visible >= 0.6 and v.forearm_angle_deg > 45]
+    return sorted(usable, key=lambda c: -truth[c].forearm_visible)
+
+
+def _forearm(joints: dict[str, np.ndarray], hand: str) -> np.ndarray:
+    axis = joints[f"{hand}_wrist"] - joints[f"{hand}_elbow"]
+    return axis / np.linalg.norm(axis)
+
+
+def _apart(axes: Sequence[np.ndarray], true_axes: Sequence[np.ndarray]) -> float:
+    """Angle between the median directions, degrees."""
+    return float(np.degrees(np.arccos(np.clip(_middle(axes) @ _middle(true_axes), -1, 1))))
 
 
 def _learnt(session: SimulatedSession, camera: int, person: PersonSettings):
     images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
-    counts = [motion_between(a, b, person.motion).edges for a, b in pairwise(images)]
+    counts = np.array([motion_between(a, b, person.motion).edges for a, b in pairwise(images)])
     return learn_background(images, person.background), learn_threshold(counts, person.motion)
 
 
@@ -196,7 +247,7 @@ def _mask_of(region, shape) -> np.ndarray | None:
     return mask
 
 
-def _gesture_score(session, gesture, held, arms, following, moments, views, arm_ms) -> GestureScore:
+def _gesture_score(session, gesture, held, arms, following, moments, views, fewer, arm_ms) -> GestureScore:
     who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
     own = [v for v in views if v.gesture == gesture.number and v.seed == session.seed]
     usable = [sum(v.visible >= 0.6 and v.angle_deg > 45 for v in own if v.frame == moment) for moment in held]
@@ -204,21 +255,18 @@ def _gesture_score(session, gesture, held, arms, following, moments, views, arm_
     tracked = following.tracking.heads
     for moment in held:
         truth = _joints(session, gesture, moment)
-        row = moment - moments.start
+        row = moments.index(moment)
         places = tracked.positions[row][tracked.present[row]]
         if len(places):
             heads.append(float(np.linalg.norm(places - truth["head"], axis=1).min()))
         if moment in arms:
             axes.append(arms[moment].direction)
-            forearm = truth[f"{gesture.hand}_wrist"] - truth[f"{gesture.hand}_elbow"]
-            true_axes.append(forearm / np.linalg.norm(forearm))
+            true_axes.append(_forearm(truth, gesture.hand))
             tips.append(float(np.linalg.norm(arms[moment].tip - truth[f"{gesture.hand}_tip"])))
-    direction = np.nan
-    if axes:
-        direction = float(np.degrees(np.arccos(np.clip(_middle(axes) @ _middle(true_axes), -1, 1))))
+    direction = _apart(axes, true_axes) if axes else np.nan
     return GestureScore(
         session.seed, gesture.number, gesture.person, gesture.law, who.sleeve, who.clothes_like_skin, who.stature_m,
-        who.tone, int(np.median(usable)), len(held), len(axes), direction,
+        who.tone, int(np.median(usable)), len(held), len(axes), direction, *fewer,
         float(np.median(tips)) if tips else np.nan, tuple(heads), arm_ms,
     )  # fmt: skip
 

@@ -113,7 +113,7 @@ def located(rig: CameraRig, labels: Labels) -> Triangulation:
     seen = np.concatenate([labels.seen, np.zeros(empty, bool)])
     with jax.enable_x64(True):
         found = triangulate(rig, pixels, seen, covariance=False)
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(labels.seen)], found)
+        return jax.tree.map(lambda leaf: leaf[: len(labels.seen)], found)
 
 
 def missed(rig: CameraRig, labels: Labels) -> Float[np.ndarray, "N C 2"]:

@@ -69,7 +69,7 @@ def test_the_forearm_keeps_its_length(rig, side, spread):
     ends = []
     for joint in (f"{side}_elbow", f"{side}_wrist"):
         found = located(rig, stacked((joint,)))
-        ends.append(np.where(found.valid[:, None], found.points, np.nan))
+        ends.append(np.where(np.asarray(found.valid)[:, None], np.asarray(found.points), np.nan))
     length = np.linalg.norm(ends[0] - ends[1], axis=1)
     assert np.isfinite(length).sum() >= 19
     assert 0.24 < np.nanmean(length) < 0.28  # m, of a grown man

@@ -69,6 +69,20 @@ def test_a_raised_fist_is_no_head(drawn, blank):
     assert np.hypot(head.x - person.x, head.y - person.y) < 0.1 * person.head
 
 
+@pytest.mark.parametrize(("x", "y"), [(5.0, 80.0), (636.0, 80.0), (300.0, 12.0)])
+def test_a_head_over_the_border_of_the_image_is_continued(drawn, blank, x, y):
+    """From what is seen of its outline, to a tenth of its height."""
+    person = drawn.Person(x, y, 260.0, arm=None)
+    head = found_in(person.drawn(blank, mask_only=True))
+    assert head.found
+    assert np.hypot(head.x - person.x, head.y - person.y) < 0.1 * person.head
+
+
+def test_a_head_of_which_too_little_is_seen_is_none(drawn, blank):
+    for x, y in ((-6.0, 80.0), (300.0, 6.0), (300.0, -4.0)):
+        assert not found_in(drawn.Person(x, y, 260.0, arm=None).drawn(blank, mask_only=True)).found
+
+
 def test_one_reason_for_every_cause(drawn, blank):
     cut = drawn.Person(300.0, -4.0, 260.0)
     assert found_in(cut.drawn(blank, mask_only=True)).reason == HeadReason.OUT_OF_VIEW

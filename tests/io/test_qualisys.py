@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.errors import FileFormatError
+from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.qualisys import read_qualisys
 
 ROTATION = cv2.Rodrigues(np.array([0.3, -1.1, 0.4]))[0]
@@ -34,6 +35,8 @@ def test_projects_like_opencv_with_the_numbers_in_the_file(tmp_path):
     rig = read_qualisys(written(tmp_path, "left", "right"))
     assert rig.names == ("left", "right")
     assert np.asarray(rig.image_sizes).tolist() == [[1080, 1900]] * 2
+    saved = read_calibration(tmp_path / "room.qca.txt")
+    assert (saved.unit, saved.rig.names) == ("m", ("left", "right"))
     np.testing.assert_allclose(np.asarray(rig.positions)[0], np.array(POSITION_MM) / 1000)
     matrix = np.array([[107520 / 64, 0, 34112 / 64 - 8], [0, 107584 / 64, 60672 / 64 - 20], [0, 0, 1]])
     turn = np.diag([1.0, -1.0, -1.0]) @ ROTATION

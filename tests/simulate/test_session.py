@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.cli import main
+from jaxpoint.config import load_config
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings, ViewpointSettings
 from jaxpoint.io.calibration import read_calibration
@@ -110,7 +111,8 @@ def test_the_folder_is_read_as_any_session(folder, session):
     assert np.abs(stored - shown).mean() < 6  # mp4 loses a little
     assert len(open_frames(found.empty[2])) == 3
     assert (folder / "preview.png").stat().st_size > 10_000
-    assert "seed = 11" in (folder / "session.toml").read_text()
+    assert "--seed 11" in (folder / "session.toml").read_text()
+    assert load_config(folder / "session.toml").simulate == SETTINGS
 
 
 def test_the_written_truth_is_that_of_the_session(folder, session):

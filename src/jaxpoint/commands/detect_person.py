@@ -87,9 +87,14 @@ class DetectPerson(SeededOptions):
 def _write(
     command: DetectPerson, out: Path, session: Session, views: tuple[CameraViews, ...], following: Following | None
 ) -> dict[str, Any]:
-    from jaxpoint.config import to_toml
+    import numpy as np
+
+    from jaxpoint.config import DetectSettings, to_toml
+    from jaxpoint.io.heads import save_heads
     from jaxpoint.io.table import write_table
+    from jaxpoint.person.pictures import sheets
     from jaxpoint.person.tables import arms, detections
+    from jaxpoint.report.people import write_people_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
@@ -97,11 +102,21 @@ def _write(
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = RoomConfig(track=command.track)
-        (folder / "config.toml").write_text(to_toml(settings), encoding="utf-8")
+        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings), track=command.track))
+        (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", detections(session, views, following))
         if following is not None:
+            save_heads(folder / "heads.csv", following.tracking.heads)
             write_table(folder / f"arms.{command.format}", arms(session, following))
+        write_people_report(
+            folder / "report.html",
+            figures,
+            None if following is None else following.tracking.heads,
+            None if session.rig is None else np.asarray(session.rig.positions),
+            sheets(session, views, following),
+            made,
+            settings,
+        )
     return figures
 
 
@@ -153,7 +168,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
         lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
     if not figures["followed"]:
         lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
-    return (*lines, *figures["notes"], f"Tables: {out}")
+    return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
 
 
 def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:

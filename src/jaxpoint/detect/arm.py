@@ -237,7 +237,15 @@ def _thin(person: Bool[np.ndarray, "h w"], pixels_a_metre: float) -> Bool[np.nda
         (max(1, round(width * factor)), max(1, round(height * factor))),
         interpolation=cv2.INTER_AREA,
     )
-    padded = cv2.copyMakeBorder((small > 127).astype(np.uint8), *([_OPENING_PX] * 4), cv2.BORDER_CONSTANT, value=0)
+    padded = cv2.copyMakeBorder(
+        (small > 127).astype(np.uint8),
+        _OPENING_PX,
+        _OPENING_PX,
+        _OPENING_PX,
+        _OPENING_PX,
+        cv2.BORDER_CONSTANT,
+        value=(0,),
+    )
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (_OPENING_PX, _OPENING_PX))
     trunk = cv2.dilate(cv2.morphologyEx(padded, cv2.MORPH_OPEN, disc), np.ones((3, 3), np.uint8))
     trunk = trunk[_OPENING_PX:-_OPENING_PX, _OPENING_PX:-_OPENING_PX]

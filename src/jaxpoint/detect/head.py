@@ -15,11 +15,13 @@ from jaxpoint.config.person import HeadSettings
 from jaxpoint.detect.silhouette import Silhouette
 
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
-CUT = 0.5  # of its width: a head that reaches so widely over the top of the image has no middle
+CUT = 0.85  # of its width: where the image's top crosses a head so widely, a quarter of it is outside and its place unsure
+OUTSIDE = 0.4  # of its width: of a head that reaches farther over a side of the image the middle is hardly seen
 BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
 OF_AREA = 0.35  # height of a head over the root of a silhouette's area: 0.30 to 0.42 from all sides, arms up or down
-AREA_RANGE = (0.6, 2.0)  # of that height; more where furniture hides most of a person
+AREA_RANGE = (0.6, 2.0)  # of that height; more where furniture hides much of a person
 AREA_SIGMA = (0.25, 0.45)  # of its logarithm, below and above
+CUT_RANGE, CUT_SIGMA = (0.6, 3.7), (0.25, 1.0)  # the same where the image ends within the person
 AREA_WEIGHT = 0.1  # of a correlation, at one sigma
 RING = (1.08, 1.6)  # of the ellipse's radius: between them is what must not belong to the person
 RING_OPENS = np.radians(100)  # rad from straight up
@@ -28,9 +30,11 @@ FINE = 8  # points a pixel from which templates are drawn
 ANGLES = np.radians(np.linspace(-105, 105, 43))  # rad from straight up: the outline above the chin
 RADII = np.linspace(0.4, 1.6, 49)  # of the expected outline, where it is looked for
 OUTLINE_ROUNDS = 6
+BORDER = 2.5  # px from the image's border: an outline there is where the image ends
 MIN_OUTLINE = 0.5  # part of the rays that must meet the outline
 OUTLINE_SIGMA = 0.04  # of the radius: hair, ears and the mask's own errors
 ASPECT_SIGMA = 0.12  # of heads from all sides, in the logarithm
+HEIGHT_SIGMA = 0.12  # in the logarithm, of what the correlation gives
 MAX_STEP = 0.2  # of the radius, in a round
 
 
@@ -41,7 +45,7 @@ class HeadReason(IntEnum):
     TOO_SMALL = 1  # the silhouette is no higher than the smallest head
     NO_SIZE_FITS = 2  # no head between the nearest and the farthest distance fits the silhouette
     UNLIKE = 3  # nothing in its upper part is enough like an ellipse
-    OUT_OF_VIEW = 4  # it reaches over the top of the image
+    OUT_OF_VIEW = 4  # too much of it is beyond the image's border
 
 
 @dataclass(frozen=True)
@@ -68,27 +72,36 @@ def find_head(silhouette: Silhouette, focal_px: float, settings: HeadSettings) -
         focal_px: focal length of the camera, px; it gives the sizes that a head can have.
         settings: `thesis` stops after the correlation.
     """
-    height, outline = silhouette.box[3], settings.method == "outline"
+    height = silhouette.box[3]
     heights = head_heights(focal_px, settings)
     if height < heights[0]:
         return _missing(silhouette, HeadReason.TOO_SMALL)
-    expected = OF_AREA * np.sqrt(silhouette.region.area)
-    if outline:
-        heights = heights[(heights >= AREA_RANGE[0] * expected) & (heights <= AREA_RANGE[1] * expected)]
-    heights = heights[heights <= height]
-    if not len(heights):
-        return _missing(silhouette, HeadReason.NO_SIZE_FITS)
-    peaks = [_correlate(silhouette.mask, float(size), settings) for size in heights]
-    x, y, score, size = max(peaks, key=lambda peak: peak[2] - (_unlikely(peak[3] / expected) if outline else 0))
-    if outline and score >= settings.min_score:
-        x, y, size = _fit_outline(silhouette.mask, x, y, size, settings.aspect)
+    if settings.method == "thesis":
+        peaks = [_correlate(silhouette.mask, float(size), settings) for size in heights[heights <= height]]
+        x, y, score, size = max(peaks, key=lambda peak: peak[2])
+    else:
+        heights, costs = _likely(heights[heights <= height], silhouette)
+        if not len(heights):
+            return _missing(silhouette, HeadReason.NO_SIZE_FITS)
+        if silhouette.is_cut:
+            settings = replace(settings, upper_part=1.0)
+        peaks = [_correlate(silhouette.mask, float(size), settings) for size in heights]
+        x, y, score, size = peaks[int(np.argmax([peak[2] for peak in peaks] - costs))]
+        if score >= settings.min_score:
+            x, y, size = _fit_outline(silhouette, x, y, size, settings.aspect)
     head = Head(x + silhouette.box[0], y + silhouette.box[1], score, size, HeadReason.FOUND)
     return replace(head, reason=_judged(head, silhouette, settings))
 
 
-def _unlikely(ratio: float) -> float:
-    """What a head of `ratio` times the height that suits the person's area loses of its correlation."""
-    return AREA_WEIGHT * (math.log(ratio) / AREA_SIGMA[int(ratio > 1)]) ** 2
+def _likely(
+    heights: Float[np.ndarray, " N"], silhouette: Silhouette
+) -> tuple[Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """Heights of a head that suit the person's area, and what each loses of its correlation."""
+    (low, high), sigmas = (CUT_RANGE, CUT_SIGMA) if silhouette.is_cut else (AREA_RANGE, AREA_SIGMA)
+    ratio = heights / (OF_AREA * np.sqrt(silhouette.region.area))
+    suits = (ratio >= low) & (ratio <= high)
+    sigma = np.where(ratio > 1, sigmas[1], sigmas[0])
+    return heights[suits], (AREA_WEIGHT * (np.log(ratio) / sigma) ** 2)[suits]
 
 
 def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
@@ -99,9 +112,12 @@ def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
 def _judged(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
     if head.score < settings.min_score:
         return HeadReason.UNLIKE
+    half = settings.aspect * head.height_px / 2
+    beside = max(half - head.x, head.x + half - silhouette.image_size[0])
+    if beside > OUTSIDE * 2 * half:
+        return HeadReason.OUT_OF_VIEW
     if silhouette.box[1] > 0:
         return HeadReason.FOUND
-    half = settings.aspect * head.height_px / 2
     left = round(head.x - half) - silhouette.box[0]
     above = np.count_nonzero(silhouette.mask[0, max(left, 0) : max(left + round(2 * half), 0)])
     crown = head.y - head.height_px / 2
@@ -180,19 +196,22 @@ def _vertex(values: Float32[np.ndarray, " N"], peak: int) -> float:
 
 
 def _fit_outline(
-    mask: Bool[np.ndarray, "h w"], x: float, y: float, height: float, aspect: float
+    silhouette: Silhouette, x: float, y: float, height: float, aspect: float
 ) -> tuple[float, float, float]:
     """Centre and height of an upright ellipse on the outline from ear over crown to ear; robust least squares.
 
-    The chin is left out: neck, collar and shoulders hide it from most sides.
+    The chin is left out: neck, collar and shoulders hide it from most sides. So is the image's border.
     """
     half = np.array([aspect * height / 2, height / 2])
     place = np.array([x, y])
+    corner, size = np.array(silhouette.box[:2]), np.array(silhouette.image_size)
+    first, last = BORDER - corner, size - 1 - BORDER - corner
     for _ in range(OUTLINE_ROUNDS):
-        points, found = _outline(mask, place, half)
+        points, found = _outline(silhouette.mask, place, half)
+        found &= ((points > first) & (points < last)).all(axis=1)
         if np.count_nonzero(found) < MIN_OUTLINE * len(ANGLES):
             break
-        step = _ellipse_step((points[found] - place) / half, half, aspect)
+        step = _ellipse_step((points[found] - place) / half, half, height, aspect)
         place, half = place + half * step[:2], half * np.exp(step[2:])
     return float(place[0]), float(place[1]), float(2 * half[1])
 
@@ -216,13 +235,14 @@ def _outline(
 
 
 def _ellipse_step(
-    offsets: Float[np.ndarray, "N 2"], half: Float[np.ndarray, "2"], aspect: float
+    offsets: Float[np.ndarray, "N 2"], half: Float[np.ndarray, "2"], height: float, aspect: float
 ) -> Float[np.ndarray, "4"]:
     """One Gauss-Newton step, Cauchy loss, in centre (half axes) and in the logarithms of both half axes.
 
     Args:
         offsets: points of the outline from the centre, in half axes: on a circle of radius 1 where the ellipse fits.
-        half: half axes, px; their ratio is drawn to `aspect`, as the outline above the chin hardly tells the height.
+        half: half axes, px, drawn to `height` and `aspect`: the outline above the chin hardly tells the height.
+        height: of the head by correlation, px.
         aspect: of a head.
     """
     radius = np.hypot(*offsets.T)
@@ -230,8 +250,8 @@ def _ellipse_step(
     unit = offsets / radius[:, None]
     slopes = np.concatenate([unit, offsets * unit], axis=1) / OUTLINE_SIGMA
     weights = 1 / (1 + residual**2)
-    prior = np.array([0, 0, 1, -1]) / ASPECT_SIGMA
-    apart = np.log(aspect * half[1] / half[0]) / ASPECT_SIGMA
-    normal = (slopes * weights[:, None]).T @ slopes + np.outer(prior, prior) + 1e-6 * np.eye(4)
-    step = np.linalg.solve(normal, slopes.T @ (weights * residual) + prior * apart)
+    priors = np.array([[0, 0, 1, -1], [0, 0, 0, 1]]) / [[ASPECT_SIGMA], [HEIGHT_SIGMA]]
+    apart = np.log([aspect * half[1] / half[0], height / 2 / half[1]]) / [ASPECT_SIGMA, HEIGHT_SIGMA]
+    normal = (slopes * weights[:, None]).T @ slopes + priors.T @ priors + 1e-6 * np.eye(4)
+    step = np.linalg.solve(normal, slopes.T @ (weights * residual) + priors.T @ apart)
     return np.clip(step, -MAX_STEP, MAX_STEP)

@@ -58,6 +58,11 @@ class Silhouette:
         x, y, width, _ = self.box
         return x == 0 or y == 0 or x + width == self.image_size[0]
 
+    @property
+    def is_cut(self) -> bool:
+        """Whether it touches any side of the image."""
+        return self.at_border or self.box[1] + self.box[3] == self.image_size[1]
+
     def full(self) -> Bool[np.ndarray, "H W"]:
         """The mask in an image of the full size."""
         x, y, width, height = self.box
@@ -199,7 +204,7 @@ def sharpened(
     y, cr, cb = cv2.split(
         cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
     )
-    differs = cv2.compare(cv2.add(cv2.add(y, cr), cb), threshold, cv2.CMP_GT)
+    differs = cv2.threshold(cv2.add(cv2.add(y, cr), cb), threshold, 255, cv2.THRESH_BINARY)[1]
     return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
 
 

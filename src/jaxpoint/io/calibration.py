@@ -44,6 +44,7 @@ from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, natural_key, read_text, replacing
+from jaxpoint.io.qualisys import read_qualisys
 
 CALIBRATION_FORMAT = "jaxpoint-calibration"
 CALIBRATION_VERSION = 1
@@ -99,7 +100,7 @@ class SavedCalibration:
 
 
 def read_calibration(path: StrPath) -> SavedCalibration:
-    """A rig from `calibration.json`, `calibration.toml`, `camera_array.toml`, or a run's folder.
+    """A rig from `calibration.json`, `calibration.toml`, `camera_array.toml`, Qualisys' `*.qca.txt`, or a run's folder.
 
     Raises:
         FileFormatError: it is none of these, or a value is missing or wrong (the message gives its path).
@@ -111,7 +112,9 @@ def read_calibration(path: StrPath) -> SavedCalibration:
         return read_calibration_json(path)
     if path.suffix == ".toml":
         return read_camera_array(path) if "cameras" in _read_toml(path) else read_calibration_toml(path)
-    raise FileFormatError(f"{path} is no calibration; give a calibration.json, a .toml, or a run's folder.")
+    if path.name.endswith(".qca.txt"):
+        return SavedCalibration(read_qualisys(path))
+    raise FileFormatError(f"{path} is no calibration; give a calibration.json, a .toml, a .qca.txt, or a run's folder.")
 
 
 def write_calibration_json(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.detect.arm import Crop
 from jaxpoint.detect.colour import Image
 from jaxpoint.detect.head import HeadReason
-from jaxpoint.detect.person import FrameReason, Look, PersonWatch
+from jaxpoint.detect.person import FrameReason, Look, PersonWatch, Sighting
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import replacing
 
@@ -47,7 +47,7 @@ class CameraViews:
 
     def crop(self, sighting: int) -> Crop:
         """The pixels of one sighting."""
-        labels = cv2.imdecode(np.frombuffer(self.packed[sighting], np.uint8), cv2.IMREAD_GRAYSCALE)
+        labels = np.asarray(cv2.imdecode(np.frombuffer(self.packed[sighting], np.uint8), cv2.IMREAD_GRAYSCALE))
         x, y = self.corner[sighting]
         return Crop(labels, (int(x), int(y)), self.size)
 
@@ -71,12 +71,15 @@ def watch(
         notes: to keep with the views.
     """
     looks = [Look(FrameReason.NO_IMAGE, 0, False)] * moments
+    kept: list[tuple[int, _Kept]] = []
     for moment, image in frames:
         if image is not None:
-            looks[moment] = _packed(watcher.look(image))
+            look = watcher.look(image)
+            kept += [(moment, _packed(sighting)) for sighting in look.sightings]
+            looks[moment] = replace(look, sightings=())
         if advance:
             advance(moment + 1, moments)
-    return _gathered(looks, size, notes)
+    return _gathered(looks, kept, size, notes)
 
 
 @dataclass(frozen=True)
@@ -87,36 +90,35 @@ class _Kept:
     png: bytes
 
 
-def _packed(look: Look) -> Look:
-    kept = []
-    for sighting in look.sightings:
-        silhouette, head, crop = sighting.silhouette, sighting.head, sighting.crop
-        png = cv2.imencode(".png", crop.labels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
-        values = (
-            silhouette.box, silhouette.region.area, silhouette.region.centroid, (head.x, head.y), head.score,
-            head.height_px, int(head.reason), crop.corner,
-        )  # fmt: skip
-        kept.append(_Kept(values, png))
-    return Look(look.reason, look.edges, look.grey, tuple(kept))  # type: ignore[arg-type]
+def _packed(sighting: Sighting) -> _Kept:
+    silhouette, head, crop = sighting.silhouette, sighting.head, sighting.crop
+    png = cv2.imencode(".png", crop.labels, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes()
+    values = (
+        silhouette.box, silhouette.region.area, silhouette.region.centroid, (head.x, head.y), head.score,
+        head.height_px, int(head.reason), crop.corner,
+    )  # fmt: skip
+    return _Kept(values, png)
 
 
-def _gathered(looks: Sequence[Look], size: tuple[int, int], notes: Sequence[str]) -> CameraViews:
-    flat = [(moment, kept) for moment, look in enumerate(looks) for kept in look.sightings]
+def _gathered(
+    looks: Sequence[Look], kept: Sequence[tuple[int, _Kept]], size: tuple[int, int], notes: Sequence[str]
+) -> CameraViews:
     shapes = ((4,), (), (2,), (2,), (), (), (), (2,))
     kinds = (int, int, float, float, float, float, int, int)
-    columns = [
-        np.array([kept.values[i] for _, kept in flat], dtype=kind).reshape(len(flat), *shape)
-        for i, (shape, kind) in enumerate(zip(shapes, kinds))
-    ]
+    names = ("box", "area", "centroid", "head", "head_score", "head_height", "head_reason", "corner")
+    columns = {
+        name: np.array([one.values[i] for _, one in kept], dtype=kind).reshape(len(kept), *shape)
+        for i, (name, shape, kind) in enumerate(zip(names, shapes, kinds))
+    }
     return CameraViews(
-        size,
-        np.array([look.reason for look in looks], dtype=int),
-        np.array([look.edges for look in looks], dtype=int),
-        np.array([look.grey for look in looks], dtype=bool),
-        np.array([moment for moment, _ in flat], dtype=int),
-        *columns,
-        tuple(kept.png for _, kept in flat),
-        tuple(notes),
+        size=size,
+        reasons=np.array([look.reason for look in looks], dtype=int),
+        edges=np.array([look.edges for look in looks], dtype=int),
+        grey=np.array([look.grey for look in looks], dtype=bool),
+        moment=np.array([moment for moment, _ in kept], dtype=int),
+        packed=tuple(one.png for _, one in kept),
+        notes=tuple(notes),
+        **columns,
     )
 
 
@@ -149,9 +151,9 @@ def load_views(path: Path) -> CameraViews:
                 raise FileFormatError(f"'{path}' was kept by another version of jaxpoint; delete it.")
             blob, ends = kept["blob"].tobytes(), kept["ends"].tolist()
             packed = tuple(blob[first:last] for first, last in zip([0, *ends], ends))
-            arrays = [kept[name] for name in _ARRAYS]
+            arrays = {name: kept[name] for name in _ARRAYS}
             width, height = (int(n) for n in kept["size"])
-            return CameraViews((width, height), *arrays, packed, tuple(kept["notes"].tolist()))
+            return CameraViews(size=(width, height), packed=packed, notes=tuple(kept["notes"].tolist()), **arrays)
     except (OSError, ValueError, KeyError) as error:
         raise FileFormatError(f"'{path}' cannot be read as kept detections ({error}); delete it.") from None
 

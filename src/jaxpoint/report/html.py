@@ -94,7 +94,7 @@ def write_report(
         outliers=tables.outlier_table(summary),
         alignment=_alignment(calibration.alignment),
         stages=tables.stage_list(calibration.stages),
-        sheets=_encoded(sheets),
+        sheets=encoded(sheets),
         provenance=tables.origin_table(provenance, seconds, calibration.seed),
         config_text=config_text,
         rig_data=_rig_data(scenes, summary),
@@ -157,7 +157,7 @@ def write_tracks_report(
         lags=tables.lag_matrix(names, *speed_lags(tracks.pixels, tracks.visible, tracks.frame_ids)),
         enough_shared=ENOUGH_SHARED,
         figures=figures,
-        sheets=_encoded(sheets),
+        sheets=encoded(sheets),
         provenance=tables.origin_table(provenance, {}, None),
         config_text=config_text,
     )  # fmt: skip
@@ -171,7 +171,7 @@ def write_detection_section(path: StrPath, sheets: Sheets, *, title: str = "Dete
         OSError: the folder is missing or not writable.
     """
     page = render(
-        "detection.html.j2", kind="jaxpoint detect", title=title, subtitle="", sections=[], sheets=_encoded(sheets)
+        "detection.html.j2", kind="jaxpoint detect", title=title, subtitle="", sections=[], sheets=encoded(sheets)
     )
     write_page(path, page)
 
@@ -328,7 +328,8 @@ def _rig_data(scenes: list[tuple[str, Scene]], summary: Summary) -> Markup:
     return Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"))
 
 
-def _encoded(sheets: Sheets) -> list[tuple[str, str]]:
+def encoded(sheets: Sheets) -> list[tuple[str, str]]:
+    """Captions and images as a page holds them."""
     return [(caption, to_data_uri(image)) for caption, image in sheets]
 
 

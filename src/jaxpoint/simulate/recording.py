@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import csv
-import platform
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
 import cv2
 import numpy as np
-import tomli_w
 
 from jaxpoint.config.loading import to_toml
+from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.errors import MissingDependencyError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.simulate.session import Progress, SimulatedFrame, SimulatedSession
@@ -21,7 +19,7 @@ from jaxpoint.simulate.wave import SimulatedWave
 
 CORNERS = ("lt", "rt", "lb", "rb")
 PIXELS = ("head", "elbow", "wrist", "tip")
-SHEET_WIDTH = 640  # px, of one camera in the preview
+SHEET_WIDTH = 400  # px, of one camera in the preview
 
 
 def write_session(
@@ -52,7 +50,7 @@ def write_session(
     write_calibration_json(
         folder / "calibration.json", session.rig, provenance={"simulated": True, "seed": session.seed}
     )
-    (folder / "session.toml").write_text(_made_from(session), encoding="utf-8")
+    (folder / "session.toml").write_text(made_from(session.settings, session.seed), encoding="utf-8")
     _write_objects(folder / "objects.csv", session)
     _write_timestamps(folder / "timestamps.csv", session)
     _write_people(truth / "people.csv", session)
@@ -214,9 +212,10 @@ def _write_joints(path: Path, session: SimulatedSession) -> None:
     _write_csv(path, ["frame", "person", "joint", "x_m", "y_m", "z_m"], rows)
 
 
-def _made_from(session: SimulatedSession) -> str:
-    head = {"seed": session.seed, "jaxpoint": version("jaxpoint"), "python": platform.python_version()}
-    return f"{tomli_w.dumps({'made': head})}\n{to_toml({'settings': asdict(session.settings)})}"
+def made_from(settings: SimulationSettings, seed: int) -> str:
+    """The text of a configuration file that makes the session again."""
+    head = f"# jaxpoint {version('jaxpoint')}: jaxpoint simulate --config session.toml --seed {seed} --out again\n\n"
+    return head + to_toml({"simulate": settings})
 
 
 def _metres(values: Iterable[float]) -> list[str]:

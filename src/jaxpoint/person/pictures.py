@@ -1,0 +1,115 @@
+"""Moments of a session as pictures: what was found, drawn into every camera's image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import UInt8
+
+from jaxpoint.detect.arm import Pixel
+from jaxpoint.detect.person import FrameReason
+from jaxpoint.io.session import Session
+from jaxpoint.io.video import open_frames
+from jaxpoint.person.arms import ArmReason, PointingArm
+from jaxpoint.person.following import Following
+from jaxpoint.person.views import CameraViews, head_found
+from jaxpoint.report.person import PersonView, contact_sheet
+
+MOMENTS = 6  # shown
+
+
+def sheets(
+    session: Session, views: Sequence[CameraViews], following: Following | None
+) -> list[tuple[str, UInt8[np.ndarray, "H W 3"]]]:
+    """A caption and a sheet of all cameras (red, green, blue) for a few telling moments."""
+    chosen = telling_moments(views, following)
+    images = [_images(session, camera, chosen) for camera in range(len(session.names))]
+    pictures = []
+    for place, moment in enumerate(chosen):
+        cells = [
+            _view(session, view, following, camera, moment, image)
+            for camera, view in enumerate(views)
+            if (image := images[camera][place]) is not None
+        ]
+        if cells:
+            sheet = contact_sheet(cells, columns=3, zoom=following is not None)
+            pictures.append((_caption(session, following, moment), sheet[..., ::-1]))
+    return pictures
+
+
+def telling_moments(views: Sequence[CameraViews], following: Following | None, count: int = MOMENTS) -> list[int]:
+    """Moments with an arm stretched out far, well apart from each other; without arms, those seen by most cameras."""
+    moments = len(views[0].reasons)
+    worth = np.sum([view.reasons == FrameReason.PERSON for view in views], axis=0).astype(float)
+    if following is not None:
+        for (moment, _), arm in following.arms.items():
+            worth[moment] += 0.0 if arm is None else 10.0 * arm.stretch
+    chosen: list[int] = []
+    apart = max(1, moments // (2 * count))
+    for moment in np.argsort(-worth, kind="stable"):
+        if worth[moment] > 0 and all(abs(moment - other) >= apart for other in chosen):
+            chosen.append(int(moment))
+        if len(chosen) == count:
+            break
+    return sorted(chosen)
+
+
+def _images(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
+    index = session.frame_index[moments, camera]
+    found = dict(open_frames(session.videos[camera]).stream(np.unique(index[index >= 0])))
+    return [found.get(int(frame)) for frame in index]
+
+
+def _caption(session: Session, following: Following | None, moment: int) -> str:
+    text = f"Moment {session.moments[moment]}, {session.times[moment]:.2f} s"
+    if following is None:
+        return text
+    people = following.tracking.heads.people
+    arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == moment and arm is not None]
+    told = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
+    return "; ".join([text, *told])
+
+
+def _view(
+    session: Session,
+    view: CameraViews,
+    following: Following | None,
+    camera: int,
+    moment: int,
+    image: np.ndarray,
+) -> PersonView:
+    own = view.of(moment)
+    masks, heads = [], []
+    for sighting in own:
+        masks.append(_mask(view, sighting))
+        if head_found(view)[sighting]:
+            heads.append((*view.head[sighting].tolist(), float(view.head_height[sighting])))
+    title = f"{session.names[camera]}, {session.moments[moment]}"
+    reason = FrameReason(int(view.reasons[moment]))
+    text = "" if reason == FrameReason.PERSON else reason.name.lower().replace("_", " ")
+    arm = _arm_of(following, moment)
+    if arm is None:
+        return PersonView(image, title, masks, heads, reason=text)
+    seen = arm.views[camera]
+    if seen.reason != ArmReason.FOUND:
+        return PersonView(image, title, masks, heads, reason=text or f"arm {seen.reason.name.lower()}")
+    tip, base = tuple(seen.tip.tolist()), tuple(seen.base.tolist())
+    return PersonView(image, title, masks, heads, axis=(base, tip), tip=tip, base=base, reason=text)
+
+
+def _arm_of(following: Following | None, moment: int) -> PointingArm | None:
+    """The arm of the person who stretches it out farthest at a moment."""
+    if following is None:
+        return None
+    arms = [arm for (at, _), arm in following.arms.items() if at == moment and arm is not None]
+    return max(arms, key=lambda arm: arm.stretch, default=None)
+
+
+def _mask(view: CameraViews, sighting: int) -> np.ndarray:
+    crop = view.crop(sighting)
+    mask = np.zeros((view.size[1], view.size[0]), bool)
+    x, y = crop.corner
+    height, width = crop.labels.shape
+    mask[y : y + height, x : x + width] = crop.labels != Pixel.NOTHING
+    return mask
