@@ -24,9 +24,14 @@ def room():
 
 
 def rays_to(room, places, cameras=None, sigma=4.0):
-    """Rays of all cameras (or some) to some places (m) whether or not they are inside the image; K = places."""
-    pixels = np.asarray(room.rig.project(places)).transpose(1, 0, 2)[None]
-    valid = np.ones(pixels.shape[:3], bool)
+    """Rays of all cameras (or some) to some places (m) whether or not they are inside the image.
+
+    K is always 4, so that one program is compiled.
+    """
+    pixels = np.zeros((1, len(room.rig), 4, 2))
+    pixels[0, :, : len(places)] = np.asarray(room.rig.project(places)).transpose(1, 0, 2)
+    valid = np.zeros(pixels.shape[:3], bool)
+    valid[:, :, : len(places)] = True
     if cameras is not None:
         valid[:, np.setdiff1d(np.arange(len(room.rig)), cameras)] = False
     return rays_of_frames(room.rig, pixels, valid, np.full(valid.shape, sigma))[0]
@@ -38,16 +43,16 @@ def heads(room, rays, predictions=NOBODY, settings=SETTINGS):
 
 
 def test_rays_are_opencvs(room):
-    pixels = np.random.default_rng(0).uniform([300, 200], [900, 500], (1, 5, 3, 2))
-    rays = rays_of_frames(room.rig, pixels, np.ones((1, 5, 3), bool), np.full((1, 5, 3), 4.0))[0]
+    pixels = np.random.default_rng(0).uniform([300, 200], [900, 500], (1, 5, 4, 2))
+    rays = rays_of_frames(room.rig, pixels, np.ones((1, 5, 4), bool), np.full((1, 5, 4), 4.0))[0]
     for camera in range(5):
         matrix = np.asarray(room.rig[camera].intrinsics)
         stop = cv2.TERM_CRITERIA_COUNT, 50, 0
         ideal = cv2.undistortPoints(pixels[0, camera][:, None], matrix, room.distortion[camera], None, None, None, stop)
-        ahead = np.column_stack([ideal[:, 0], np.ones(3)]) @ room.rotation[camera]
+        ahead = np.column_stack([ideal[:, 0], np.ones(4)]) @ room.rotation[camera]
         own = rays.camera == camera
         np.testing.assert_allclose(rays.direction[own], ahead / np.linalg.norm(ahead, axis=1, keepdims=True), atol=1e-9)
-        np.testing.assert_allclose(rays.origin[own], np.tile(room.positions[camera], (3, 1)), atol=1e-9)
+        np.testing.assert_allclose(rays.origin[own], np.tile(room.positions[camera], (4, 1)), atol=1e-9)
 
 
 def test_sigma_of_a_ray_is_the_angle_that_the_pixels_noise_makes(room):
@@ -68,8 +73,8 @@ def test_what_the_lens_does_not_know_is_left_out(room):
     rig = CameraRig.from_parameters(
         np.full((5, 2), 600.0), room.center, lenses, room.rotation, room.translation, room.tracks.image_sizes
     )
-    pixels = np.full((1, 5, 1, 2), 1e4)
-    rays = rays_of_frames(rig, pixels, np.ones((1, 5, 1), bool), np.full((1, 5, 1), 4.0))[0]
+    pixels = np.full((1, 5, 4, 2), 1e4)
+    rays = rays_of_frames(rig, pixels, np.ones((1, 5, 4), bool), np.full((1, 5, 4), 4.0))[0]
     assert 0 not in rays.camera
     assert np.isfinite(rays.direction).all()
 

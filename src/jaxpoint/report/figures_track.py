@@ -50,7 +50,7 @@ def floor_plan(
         ax.plot(*center[:2], marker="s", color=INK, ms=7)
         ax.annotate(name, center[:2], xytext=(0, 8), textcoords="offset points", ha="center", weight="bold", fontsize=8)
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x, m", ylabel="y, m", aspect="equal")
-    _time_bar(figure, ax, heads)
+    _time_bar(figure, heads, ax=ax, shrink=0.6, pad=0.02, aspect=30)
     return figure
 
 
@@ -61,7 +61,7 @@ def in_space(
     low, high = _bounds(heads, centers, room)
     low[2] = min(0.0, low[2])
     figure = Figure(figsize=(PAGE, 6.2))
-    ax = cast(Axes3D, figure.add_axes((0.0, 0.05, 0.86, 0.92), projection="3d", computed_zorder=False))
+    ax = cast(Axes3D, figure.add_axes((0.02, 0.04, 0.84, 0.94), projection="3d", computed_zorder=False))
     for color, (name, (line, seconds, _)) in zip(camera_colors(len(heads.people)), _ways(heads)):
         shadow = np.where(np.arange(3) == 2, low[2], line)
         ax.plot(*shadow.T, color=color, lw=2.5, alpha=0.45)
@@ -84,7 +84,7 @@ def in_space(
         axis.line.set_color(FAINT)
     ax.tick_params(labelsize=7)
     ax.locator_params(nbins=6)
-    _time_bar(figure, ax, heads)
+    _time_bar(figure, heads, cax=figure.add_axes((0.93, 0.25, 0.012, 0.5)))
     return figure
 
 
@@ -147,7 +147,6 @@ def _label(ax: Axes, place: np.ndarray, name: str, color: str) -> None:
     )
 
 
-def _time_bar(figure: Figure, ax: Axes, heads: HeadTracks) -> None:
-    shade = ScalarMappable(Normalize(*_clock(heads)), _TIME)
-    bar = figure.colorbar(shade, ax=ax, shrink=0.6, pad=0.02, aspect=30, label="time, s")
+def _time_bar(figure: Figure, heads: HeadTracks, **place) -> None:
+    bar = figure.colorbar(ScalarMappable(Normalize(*_clock(heads)), _TIME), label="time, s", **place)
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
