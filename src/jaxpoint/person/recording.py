@@ -23,7 +23,7 @@ from jaxpoint.io.session import Session
 from jaxpoint.io.video import FrameSource, open_frames
 from jaxpoint.person.views import FORMAT, CameraViews, load_views, save_views, watch
 
-NEVER_CLEARS = 0.1  # of the foreground's outlines lie in the median: on real recordings 0.00 or 0.24 to 0.35
+NEVER_CLEARS = 0.1  # of the outline of what differs: beyond it the median holds somebody
 FOCAL_OF_WIDTH = 0.9  # focal length over image width where there is no calibration
 QUIET = 0.5  # part of a recording's pairs that is taken for the empty room where there is no other
 
