@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from jaxpoint.config.person import MarkerSettings
-from jaxpoint.detect.marker import MarkerReason, find_marker, marker_mask, train_marker
+from jaxpoint.detect.marker import MarkerReason, find_markers, marker_ends, marker_mask, train_marker
 from jaxpoint.detect.region import region_of
 from jaxpoint.detect.silhouette import Silhouette
 from jaxpoint.errors import InsufficientDataError
@@ -47,11 +47,26 @@ def test_the_cap_on_the_finger_is_found(drawn, scene, name, gates):
     cap = np.zeros(image.shape[:2], np.uint8)
     cv2.line(cap, np.round(start).astype(int).tolist(), np.round(stop).astype(int).tolist(), 255, 5)
     image[cap > 0] = COLOURS[name]
-    found = find_marker(drawn.exposed(image, rng), silhouette, model, SETTINGS)
+    found = find_markers(drawn.exposed(image, rng), silhouette, model, SETTINGS)
     assert found.reason == MarkerReason.FOUND
-    np.testing.assert_allclose(found.region.centroid, person.tip, atol=2.5)
-    assert found.region.area == np.count_nonzero(found.mask)
-    assert found.region.area > 0.5 * np.count_nonzero(cap)
+    np.testing.assert_allclose(found.regions[0].centroid, person.tip, atol=2.5)
+    assert found.regions[0].area > 0.5 * np.count_nonzero(cap)
+
+
+@pytest.mark.parametrize("length", [6.0, 12.0, 30.0])
+def test_ends_are_found_to_a_fraction_of_a_pixel(length):
+    rng = np.random.default_rng(7)
+    rows, columns = np.mgrid[:60, :60]
+    errors = []
+    for _ in range(40):
+        center, angle = rng.uniform(28, 32, 2), rng.uniform(0, np.pi)
+        along = np.array([np.cos(angle), np.sin(angle)])
+        x, y = columns - center[0], rows - center[1]
+        inside = (np.abs(x * along[0] + y * along[1]) <= length / 2) & (np.abs(-x * along[1] + y * along[0]) <= 2.0)
+        far = center + np.sign(along @ (center - [5.0, 50.0])) * length / 2 * along
+        ends = marker_ends(region_of(inside), np.array([5.0, 50.0]))
+        errors += [ends.tip - far, ends.base - (2 * center - far)]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.4  # px; the outermost pixel's centre is off by 0.5 and more
 
 
 def test_one_reason_for_every_cause(drawn, scene):
@@ -59,12 +74,12 @@ def test_one_reason_for_every_cause(drawn, scene):
     rng = np.random.default_rng(2)
     model = train_marker(picked(COLOURS["green"], rng), SETTINGS)
     plain = drawn.exposed(image, rng)
-    assert find_marker(plain, silhouette, model, SETTINGS).reason == MarkerReason.NO_COLOUR
+    assert find_markers(plain, silhouette, model, SETTINGS).reason == MarkerReason.NO_COLOUR
     x, y = np.round(person.tip).astype(int)
     plain[y : y + 2, x - 4 : x - 2] = COLOURS["green"]
-    assert find_marker(plain, silhouette, model, SETTINGS).reason == MarkerReason.TOO_SMALL
+    assert find_markers(plain, silhouette, model, SETTINGS).reason == MarkerReason.TOO_SMALL
     grey = np.repeat(plain.mean(axis=-1, keepdims=True), 3, axis=-1).astype(np.uint8)
-    assert find_marker(grey, silhouette, model, SETTINGS).reason == MarkerReason.GREY
+    assert find_markers(grey, silhouette, model, SETTINGS).reason == MarkerReason.GREY
 
 
 def test_the_hue_is_averaged_on_the_circle():

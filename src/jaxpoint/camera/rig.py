@@ -90,12 +90,12 @@ class CameraRig(eqx.Module):
     @property
     def positions(self) -> Float[Array, "C 3"]:
         """Camera centres in the world, m."""
-        return _each(self, lambda camera: camera.position)
+        return _each(self, _position)
 
     @property
     def matrices(self) -> Float[Array, "C 3 4"]:
         """P of every camera, from homogeneous world points to pixels of the ideal image."""
-        return _each(self, lambda camera: camera.matrix)
+        return _each(self, _matrix)
 
     def project(self, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch C 2"]:
         """Pixels of world points (m) in every camera; only meaningful where `depth` is positive."""
@@ -138,9 +138,22 @@ def _camera(focal: Array, center: Array, distortion: Array, rotation: Array, tra
     return Camera(focal, center, Brown(distortion), Pose(rotation, translation))
 
 
+def _position(camera: Camera) -> Array:
+    return camera.position
+
+
+def _matrix(camera: Camera) -> Array:
+    return camera.matrix
+
+
 def _each(rig: CameraRig, function: Callable[[Camera], Any]) -> Any:
     as_float(rig.cameras.focal)  # a rig of float64 numbers must not be cut either
-    return jax.vmap(function)(rig.cameras)
+    return _mapped(rig.cameras, function)
+
+
+@eqx.filter_jit
+def _mapped(cameras: Camera, function: Callable[[Camera], Any]) -> Any:
+    return jax.vmap(function)(cameras)
 
 
 @eqx.filter_jit

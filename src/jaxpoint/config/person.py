@@ -65,7 +65,7 @@ class BackgroundSettings:
     """Largest sum of the differences in Cr and Cb of a shadow, grey levels."""
     shadow_texture: Positive = 0.05
     """Largest standard deviation, among neighbours, of the factor by which a shadow darkens the room."""
-    min_frames: Count = 20
+    min_frames: Count = 10
     """Fewest images from which a background is learnt."""
     max_frames: Count = 100
     """Images used, spread over the recording."""
@@ -150,6 +150,14 @@ class MarkerSettings:
     """Regions of this area or less are not the marker."""
     reach_px: Count = 6
     """How far outside the silhouette the marker may lie, which is often the outermost part of the person."""
+    candidates: Count = 4
+    """Regions of one silhouette that may be the marker, the largest; over several views, the one that they share is."""
+    sample_radius_px: Positive = 1.0
+    """Pixels this near to a picked one are picked too, where the samples do not say otherwise."""
+    max_length_m: Positive = 0.15
+    """What is longer in the room is no marker."""
+    agree_m: Positive = 0.03
+    """How far from a place in the room the middle of a region may be seen, for its view to count."""
 
 
 @dataclass(frozen=True)

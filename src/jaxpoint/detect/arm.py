@@ -18,6 +18,11 @@ SLICE_M = 0.025  # from one slice to the next
 REACH_M = SLICES * SLICE_M  # how far a candidate reaches from its tip
 _AXIS_M = (0.17, 0.40)  # from the tip: behind the hand, before the elbow
 _MIN_AREA_M2 = 0.002
+_MIN_LENGTH_M = 0.06
+_MOST_PARTS = 5  # of skin, and of the outline: two arms, two legs and one more
+_MOST_POINTS = 800  # px of a limb that are looked at
+_ROUNDS = 2  # of cutting slices and fitting an axis to them
+_SLOPE_PRIOR = 0.5  # slices, by which an even width is expected
 _LIMB_M = 0.15  # thicker than an arm, thinner than a trunk
 CORRIDOR_M = 0.09  # on either side of a promised axis
 LIMB_WIDTH_M = (0.035, 0.13)  # of a forearm, clothes included
@@ -76,8 +81,9 @@ def find_limbs(
     skin = crop.labels == Pixel.SKIN
     person = crop.labels != Pixel.NOTHING
     face = _face(crop, head, head_height_px)
-    limbs = _ends(skin & ~face, crop, pixels_a_metre, from_skin=True)
-    return limbs + _ends(_thin(person, pixels_a_metre) & ~face, crop, pixels_a_metre, from_skin=False)
+    ends = _ends(skin & ~face, crop, pixels_a_metre, from_skin=True)
+    ends += _ends(_thin(person, pixels_a_metre) & ~face, crop, pixels_a_metre, from_skin=False)
+    return _limbs(ends, crop, pixels_a_metre)
 
 
 @dataclass(frozen=True)
@@ -109,38 +115,48 @@ def cut_strip(
     half = CORRIDOR_M * pixels_a_metre
     offsets = np.linspace(-half, half, 2 * int(np.ceil(half)) + 1)
     places = axis[:, None] + offsets[None, :, None] * across - np.array(crop.corner)
-    x, y = places[..., 0].astype(np.float32), places[..., 1].astype(np.float32)
-    best: tuple[np.ndarray, np.ndarray] | None = None
-    skin = True
-    for value in (Pixel.SKIN, Pixel.PERSON):
-        mask = (crop.labels >= value).astype(np.uint8) * 255
-        strip = cv2.remap(mask, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        low, high = _edges(strip.astype(np.float32) / 255, offsets)
-        whole = (low > -half + 1) & (high < half - 1)
-        width = np.where(whole & _tapers(high - low, whole, pixels_a_metre), high - low, 0.0)
-        if best is None or (width > 0).sum() > (best[1] > 0).sum():
-            best, skin = ((low + high) / 2, width), value == Pixel.SKIN
-    middle, width = best
-    return Strip(axis + middle[:, None] * across, width, skin)
+    low, high = _edges(_sampled(crop.labels, places), offsets)
+    whole = (low > -half + 1) & (high < half - 1)
+    width = np.where(_tapers(high - low, whole, pixels_a_metre), high - low, 0.0)
+    kind = int((width > 0).sum(axis=1).argmax())
+    return Strip(axis + (low + high)[kind, :, None] / 2 * across, width[kind], kind == 0)
+
+
+def _sampled(labels: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "S n 2"]) -> Float[np.ndarray, "2 S n"]:
+    """How much of skin, and of the person, lies at places between pixels, 0 to 1; nothing outside."""
+    low = np.maximum(np.floor(places.min(axis=(0, 1))).astype(int) - 1, 0)
+    high = np.ceil(places.max(axis=(0, 1))).astype(int) + 2
+    part = labels[low[1] : max(high[1], 0), low[0] : max(high[0], 0)]
+    if not part.size:
+        return np.zeros((2, *places.shape[:2]))
+    x, y = cv2.split((places - low).astype(np.float32))
+    return np.stack([
+        cv2.remap(
+            cv2.compare(part, int(kind), cv2.CMP_GE), x, y, cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=0,
+        )
+        for kind in (Pixel.SKIN, Pixel.PERSON)
+    ]) / 255.0  # fmt: skip
 
 
 def _tapers(
-    width: Float[np.ndarray, " S"], whole: Bool[np.ndarray, " S"], pixels_a_metre: float
-) -> Bool[np.ndarray, " S"]:
+    width: Float[np.ndarray, "K S"], whole: Bool[np.ndarray, "K S"], pixels_a_metre: float
+) -> Bool[np.ndarray, "K S"]:
     """Slices as wide as a forearm that widens evenly to the elbow: a hole, a hand or a shirt behind is none."""
     low, high = (limit * pixels_a_metre for limit in LIMB_WIDTH_M)
     usable = whole & (width >= low) & (width <= high)
-    if usable.sum() < 3:
-        return usable
-    place = np.linspace(-1, 1, len(width))
+    place = np.linspace(-1, 1, width.shape[1])
+    powers = np.stack([np.ones_like(place), place, place**2], axis=1)
     weight = usable.astype(float)
     expected = width
     for _ in range(5):
-        rows = np.stack([np.ones_like(place), place], axis=1)
-        normal = rows.T @ (weight[:, None] * rows) + np.diag([1e-9, 0.5])
-        expected = rows @ np.linalg.solve(normal, rows.T @ (weight * width))
+        n, x, xx = (weight @ powers + [1e-9, 0.0, _SLOPE_PRIOR]).T
+        y, xy = ((weight * width) @ powers[:, :2]).T
+        level, slope = (xx * y - x * xy), (n * xy - x * y)
+        expected = (level[:, None] + slope[:, None] * place) / (n * xx - x * x)[:, None]
         weight = usable / (1 + ((width - expected) / (0.07 * np.maximum(expected, low))) ** 2)
-    return usable & (np.abs(width - expected) <= TAPER * np.maximum(expected, low))
+    tapers = usable & (np.abs(width - expected) <= TAPER * np.maximum(expected, low))
+    return np.where(usable.sum(axis=1, keepdims=True) < 3, usable, tapers)
 
 
 def find_tips(
@@ -167,9 +183,9 @@ def find_tips(
     if (high - low < 3).any():
         return []
     part = crop.labels[low[1] : high[1], low[0] : high[0]]
-    rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
-    offset = np.stack([columns, rows], axis=-1) + corner - start
-    along, across = offset @ ahead, offset @ np.array([-ahead[1], ahead[0]])
+    x = (np.arange(low[0], high[0]) + corner[0] - start[0])[None]
+    y = (np.arange(low[1], high[1]) + corner[1] - start[1])[:, None]
+    along, across = ahead[0] * x + ahead[1] * y, ahead[0] * y - ahead[1] * x
     room = (along > -1) & (along < length) & (np.abs(across) < half)
     tips = []
     for value in (Pixel.SKIN, Pixel.PERSON):
@@ -177,8 +193,8 @@ def find_tips(
         near = (along < 0.03 * pixels_a_metre + 2) & (np.abs(across) < 0.03 * pixels_a_metre + 1) & (labels > 0)
         if not near.any():
             continue
-        own = labels == np.bincount(labels[near]).argmax()
-        tip = _end_of(offset[own])
+        rows, columns = np.nonzero(labels == np.bincount(labels[near]).argmax())
+        tip = _end_of(np.stack([x[0, columns], y[rows, 0]], axis=1))
         if tip is not None and tip @ ahead < length - 1.5:
             tips.append(start + tip)
     return tips
@@ -196,25 +212,27 @@ def _end_of(offsets: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"] | None:
 
 
 def _edges(
-    strip: Float[np.ndarray, "S n"], offsets: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " S"], Float[np.ndarray, " S"]]:
+    strips: Float[np.ndarray, "K S n"], offsets: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, "K S"], Float[np.ndarray, "K S"]]:
     """Both ends of the run above one half that is nearest to the middle of each row; equal where there is none."""
-    rows, count = strip.shape
+    count = len(offsets)
+    strip = strips.reshape(-1, count)
     place = np.arange(count)
     inside = strip >= 0.5
     nearest = np.where(inside, np.abs(place - (count - 1) / 2), count).argmin(axis=1)
-    row = np.arange(rows)
-    first = np.maximum.accumulate(np.where(inside, -1, place), axis=1)[row, nearest] + 1
-    last = np.minimum.accumulate(np.where(inside, count, place)[:, ::-1], axis=1)[:, ::-1][row, nearest] - 1
+    row = np.arange(len(strip))
+    first = np.where(inside | (place > nearest[:, None]), -1, place).max(axis=1) + 1
+    last = np.where(inside | (place < nearest[:, None]), count, place).min(axis=1) - 1
     some = inside.any(axis=1)
     first, last = np.where(some, first, 0), np.where(some, last, 0)
     spacing = offsets[1] - offsets[0]
     low = offsets[first] - spacing * _beyond(strip[row, first], strip[row, np.maximum(first - 1, 0)])
     high = offsets[last] + spacing * _beyond(strip[row, last], strip[row, np.minimum(last + 1, count - 1)])
-    return np.where(some, low, 0.0), np.where(some, high, 0.0)
+    shape = strips.shape[:2]
+    return np.where(some, low, 0.0).reshape(shape), np.where(some, high, 0.0).reshape(shape)
 
 
-def _beyond(inner: Float[np.ndarray, " S"], outer: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+def _beyond(inner: Float[np.ndarray, " R"], outer: Float[np.ndarray, " R"]) -> Float[np.ndarray, " R"]:
     """Share of a pixel by which an edge lies beyond the last place above one half."""
     return np.where(inner > outer, (inner - 0.5) / np.maximum(inner - outer, 1e-6), 0.0)
 
@@ -252,95 +270,110 @@ def _thin(person: Bool[np.ndarray, "h w"], pixels_a_metre: float) -> Bool[np.nda
     return person & (cv2.resize(trunk, (width, height), interpolation=cv2.INTER_LINEAR) == 0)
 
 
-def _ends(mask: Bool[np.ndarray, "h w"], crop: Crop, pixels_a_metre: float, *, from_skin: bool) -> list[Limb]:
-    """Both ends of every component that is large enough."""
-    cleaned = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+@dataclass(frozen=True)
+class _End:
+    """An end of a component of the mask."""
+
+    tip: Float[np.ndarray, "2"]  # px, a pixel of it
+    points: Int[np.ndarray, "n 2"]  # px, its pixels within reach of the tip
+    from_skin: bool
+
+
+def _ends(mask: Bool[np.ndarray, "h w"], crop: Crop, pixels_a_metre: float, *, from_skin: bool) -> list[_End]:
+    """Both ends of every component that is large enough, the largest first."""
+    bits = mask.view(np.uint8)
+    left, top, width, height = cv2.boundingRect(bits)
+    cleaned = (
+        cv2.morphologyEx(bits[top : top + height, left : left + width], cv2.MORPH_OPEN, np.ones((2, 2), np.uint8))
+        if width
+        else bits[:0, :0]
+    )
+    if not cleaned.any():
+        return []
     _, labels, stats, _ = cv2.connectedComponentsWithStats(cleaned, connectivity=8)
-    limbs = []
-    for index in range(1, len(stats)):
-        x, y, width, height, area = stats[index]
-        if area < _MIN_AREA_M2 * pixels_a_metre**2 or max(width, height) < 0.06 * pixels_a_metre:
-            continue
+    large = (stats[:, 4] >= _MIN_AREA_M2 * pixels_a_metre**2) & (
+        stats[:, 2:4].max(axis=1) >= _MIN_LENGTH_M * pixels_a_metre
+    )
+    order = [i for i in np.argsort(-stats[:, 4], kind="stable") if i > 0 and large[i]]
+    ends = []
+    for index in order[:_MOST_PARTS]:
+        x, y, width, height, _ = stats[index]
         ys, xs = np.nonzero(labels[y : y + height, x : x + width] == index)
-        points = np.stack([xs + x, ys + y], axis=1) + np.array(crop.corner)
+        points = np.stack([xs + (x + left + crop.corner[0]), ys + (y + top + crop.corner[1])], axis=1)
         for tip in _extremes(points):
-            limb = _limb_from(points, tip, pixels_a_metre, crop, from_skin)
-            if limb is not None:
-                limbs.append(limb)
+            near = points[((points - tip) ** 2).sum(axis=1) < (REACH_M * pixels_a_metre) ** 2]
+            ends.append(_End(tip.astype(float), near, from_skin))
+    return ends
+
+
+def _extremes(points: Int[np.ndarray, "n 2"]) -> tuple[Int[np.ndarray, "2"], Int[np.ndarray, "2"]]:
+    """The two ends of a component: the pixel farthest from its middle, and the one farthest from that."""
+    first = points[np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))]
+    return first, points[np.argmax(((points - first) ** 2).sum(axis=1))]
+
+
+def _limbs(ends: list[_End], crop: Crop, pixels_a_metre: float) -> list[Limb]:
+    """The limbs that have these ends; all at once, as every step costs far more than the numbers in it."""
+    if not ends:
+        return []
+    strides = [1 + len(end.points) // _MOST_POINTS for end in ends]
+    owner = np.repeat(np.arange(len(ends)), [len(end.points[::k]) for end, k in zip(ends, strides)])
+    tips = np.stack([end.tip for end in ends])
+    offsets = np.concatenate([end.points[::k] for end, k in zip(ends, strides)]) - tips[owner]
+    direction = _towards_tip(offsets, owner, len(ends), _AXIS_M[1] * pixels_a_metre)
+    step = SLICE_M * pixels_a_metre
+    for _ in range(_ROUNDS):
+        along, middle, count = _slices(offsets, owner, direction, step)
+        used, direction = direction, _axes(middle, count > 0, direction)
+    limbs = []
+    for i, end in enumerate(ends):
+        last = offsets[owner == i][along[owner == i] < max(1.5, 0.006 * pixels_a_metre)]
+        place = end.tip + last.mean(axis=0) + 0.5 * used[i]
+        width, height = crop.image_size
+        cut = bool((place < 3).any() or place[0] > width - 4 or place[1] > height - 4)
+        area = strides[i] * int(count[i].sum())
+        limbs.append(Limb(place, used[i], end.tip + middle[i], strides[i] * count[i] / step, area, end.from_skin, cut))
     return limbs
 
 
-def _extremes(points: Int[np.ndarray, "n 2"]) -> list[Float[np.ndarray, "2"]]:
-    """The two ends of a component: the pixel farthest from its middle, and the one farthest from that."""
-    first = points[np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1))]
-    second = points[np.argmax(((points - first) ** 2).sum(axis=1))]
-    return [first.astype(float), second.astype(float)]
+def _towards_tip(offsets, owner, count: int, reach: float) -> Float[np.ndarray, "L 2"]:
+    """Unit vectors from the mean of the pixels within reach to the tip."""
+    within = (offsets**2).sum(axis=1) < reach**2
+    inward = np.stack([np.bincount(owner[within], offsets[within, i], minlength=count) for i in range(2)], axis=1)
+    return -inward / np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), 1e-9)
 
 
-def _limb_from(
-    points: Int[np.ndarray, "n 2"], tip: Float[np.ndarray, "2"], pixels_a_metre: float, crop: Crop, from_skin: bool
-) -> Limb | None:
-    """The limb that ends at a pixel: its axis from the slices behind the hand, twice."""
-    near = points[((points - tip) ** 2).sum(axis=1) < (REACH_M * pixels_a_metre) ** 2]
-    within = near[((near - tip) ** 2).sum(axis=1) < (_AXIS_M[1] * pixels_a_metre) ** 2]
-    inward = within.mean(axis=0) - tip
-    length = float(np.hypot(*inward))
-    if length < 3:
-        return None
-    direction = -inward / length
-    limb = None
+def _slices(offsets, owner, direction: Float[np.ndarray, "L 2"], step: float):
+    """Middle (L, S, 2) and number (L, S) of each slice's pixels across an axis, and where each pixel lies along it."""
+    limbs = len(direction)
+    along = -(offsets * direction[owner]).sum(axis=1)
+    first = np.full(limbs, np.inf)
+    np.minimum.at(first, owner, along)
+    along = along - first[owner]
+    index = np.minimum((along / step).astype(int), SLICES) + owner * (SLICES + 1)
+    size = limbs * (SLICES + 1)
+    count = np.bincount(index, minlength=size)
+    total = [np.bincount(index, offsets[:, i], minlength=size) for i in range(2)]
+    middle = np.stack(total, axis=1) / np.maximum(count, 1)[:, None]
+    return along, middle.reshape(limbs, SLICES + 1, 2)[:, :SLICES], count.reshape(limbs, SLICES + 1)[:, :SLICES]
+
+
+def _axes(
+    middle: Float[np.ndarray, "L S 2"], held: Bool[np.ndarray, "L S"], direction: Float[np.ndarray, "L 2"]
+) -> Float[np.ndarray, "L 2"]:
+    """Directions towards the tips of the lines through the slices behind the hand; of all where these are too few."""
+    behind = (np.arange(SLICES) * SLICE_M >= _AXIS_M[0]) & (np.arange(SLICES) * SLICE_M < _AXIS_M[1])
+    forearm = held & behind
+    use = np.where(forearm.sum(axis=1, keepdims=True) < 4, held, forearm).astype(float)
+    weight, axis = use, direction
     for _ in range(3):
-        limb = _limb_along(near, tip, direction, SLICE_M * pixels_a_metre, crop, from_skin)
-        fitted = _axis_of(limb)
-        if fitted is None:
-            break
-        direction = fitted
-    return limb
-
-
-def _axis_of(limb: Limb) -> Float[np.ndarray, "2"] | None:
-    """Direction towards the tip of the line through the slices behind the hand; of all where these are too few."""
-    slices = np.arange(SLICES)
-    held = limb.width > 0
-    forearm = held & (slices >= _AXIS_M[0] / SLICE_M) & (slices < _AXIS_M[1] / SLICE_M)
-    if forearm.sum() < 4:
-        forearm = held
-    if forearm.sum() < 3:
-        return None
-    middle = limb.middle[forearm]
-    weight = np.ones(len(middle))
-    axis = limb.direction
-    for _ in range(3):
-        centre = weight @ middle / weight.sum()
-        _, _, rows = np.linalg.svd(np.sqrt(weight)[:, None] * (middle - centre), full_matrices=False)
-        axis = rows[0]
-        off = np.abs((middle - centre) @ np.array([-axis[1], axis[0]]))
-        weight = 1 / (1 + (off / max(1.0, 1.5 * float(np.median(off)))) ** 2)
-    return axis if axis @ limb.direction > 0 else -axis
-
-
-def _limb_along(
-    points: Int[np.ndarray, "n 2"],
-    tip: Float[np.ndarray, "2"],
-    direction: Float[np.ndarray, "2"],
-    step: float,
-    crop: Crop,
-    from_skin: bool,
-) -> Limb:
-    """Slices across an axis, and the tip as the end of what lies along it."""
-    normal = np.array([-direction[1], direction[0]])
-    along = (tip - points) @ direction
-    across = (points - tip) @ normal
-    first = along.min()
-    index = np.floor((along - first) / step).astype(int)
-    kept = index < SLICES
-    count = np.bincount(index[kept], minlength=SLICES)
-    total_across = np.bincount(index[kept], across[kept], minlength=SLICES)
-    total_along = np.bincount(index[kept], along[kept], minlength=SLICES)
-    safe = np.maximum(count, 1)
-    middle = tip - (total_along / safe)[:, None] * direction + (total_across / safe)[:, None] * normal
-    end = points[along < first + max(1.5, 0.006 / SLICE_M * step)].mean(axis=0)
-    end = end + 0.5 * direction
-    width, height = crop.image_size
-    cut = bool((end < 3).any() or end[0] > width - 4 or end[1] > height - 4)
-    return Limb(end, direction, middle, count / step, int(kept.sum()), from_skin, cut)
+        total = np.maximum(weight.sum(axis=1), 1e-9)
+        off = middle - np.einsum("ls,lsi->li", weight, middle)[:, None] / total[:, None, None]
+        xx, xy, yy = (np.einsum("ls,ls,ls->l", weight, off[..., i], off[..., j]) for i, j in ((0, 0), (0, 1), (1, 1)))
+        angle = 0.5 * np.arctan2(2 * xy, xx - yy)
+        axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        miss = np.abs(off[..., 1] * axis[:, :1] - off[..., 0] * axis[:, 1:])
+        scale = np.maximum(1.0, 1.5 * (use * miss).sum(axis=1) / np.maximum(use.sum(axis=1), 1))
+        weight = use / (1 + (miss / scale[:, None]) ** 2)
+    axis = axis * np.where((axis * direction).sum(axis=1) > 0, 1.0, -1.0)[:, None]
+    return np.where(use.sum(axis=1, keepdims=True) < 3, direction, axis)

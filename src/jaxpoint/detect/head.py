@@ -15,7 +15,7 @@ from jaxpoint.config.person import HeadSettings
 from jaxpoint.detect.silhouette import Silhouette
 
 MARGIN = 3  # px of background around the ellipse of a template; a flat template has no variance
-CUT = 0.85  # of its width: where the image's top crosses a head so widely, a quarter of it is outside and its place unsure
+CUT = 0.85  # of its width: where the image's top crosses a head so widely, a quarter is outside and its place unsure
 OUTSIDE = 0.4  # of its width: of a head that reaches farther over a side of the image the middle is hardly seen
 BODY_ABOVE = 0.15  # of its width: where so much of the person lies above it and outside, it is no head
 OF_AREA = 0.35  # height of a head over the root of a silhouette's area: 0.30 to 0.42 from all sides, arms up or down

@@ -11,11 +11,13 @@ from jaxtyping import Bool, Float, UInt8
 
 from jaxpoint.config.person import MarkerSettings
 from jaxpoint.detect.colour import Image, is_grey
+from jaxpoint.detect.endpoints import Endpoints
 from jaxpoint.detect.region import Region, label_regions
 from jaxpoint.detect.silhouette import Silhouette
 from jaxpoint.errors import InsufficientDataError
 
 LEVELS = np.arange(256.0)
+BAR = np.sqrt(12) / 4  # length of a bar over the major axis of the ellipse with its second moments
 CIRCLE = 180  # OpenCV's hues of 8-bit images
 
 
@@ -41,12 +43,11 @@ class MarkerModel:
 
 
 @dataclass(frozen=True)
-class Marker:
-    """The marker's region in an image."""
+class Markers:
+    """Regions of the marker's colour in a silhouette, in the whole image, the largest first."""
 
-    mask: Bool[np.ndarray, "h w"]  # the pixels inside `region.box`; (0, 0) where not found
-    region: Region | None  # in the whole image
-    reason: MarkerReason
+    regions: tuple[Region, ...]
+    reason: MarkerReason  # why there are none, or FOUND
 
 
 def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings) -> MarkerModel:
@@ -74,14 +75,14 @@ def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings)
     return MarkerModel(middle, float(saturation.mean()), float(value.mean()), *gates.tolist())
 
 
-def find_marker(image: Image, silhouette: Silhouette, model: MarkerModel, settings: MarkerSettings) -> Marker:
-    """The largest region of the marker's colour in a silhouette or close to it.
+def find_markers(image: Image, silhouette: Silhouette, model: MarkerModel, settings: MarkerSettings) -> Markers:
+    """The largest regions of the marker's colour in a silhouette or close to it.
 
     The thesis also asks for a shape and takes the farthest region (`thesis_finger`); a marker that points at the camera
-    or at the floor has another one, and the view of it is judged in 3-D.
+    or at the floor has another one. Which region is the marker is judged over all views.
     """
     if is_grey(image):
-        return _missing(MarkerReason.GREY)
+        return Markers((), MarkerReason.GREY)
     reach = settings.reach_px
     x, y, width, height = silhouette.box
     left, top = max(x - reach, 0), max(y - reach, 0)
@@ -91,11 +92,24 @@ def find_marker(image: Image, silhouette: Silhouette, model: MarkerModel, settin
     near = cv2.dilate(near, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > 0
     mask = marker_mask(np.ascontiguousarray(part), model) & near
     if not mask.any():
-        return _missing(MarkerReason.NO_COLOUR)
-    labels, regions = label_regions(mask, min_area=settings.min_area_px + 1)
+        return Markers((), MarkerReason.NO_COLOUR)
+    _, regions = label_regions(mask, min_area=settings.min_area_px + 1)
     if not regions:
-        return _missing(MarkerReason.TOO_SMALL)
-    return Marker(regions[0].crop(labels), regions[0].moved(left, top), MarkerReason.FOUND)
+        return Markers((), MarkerReason.TOO_SMALL)
+    return Markers(tuple(region.moved(left, top) for region in regions[: settings.candidates]), MarkerReason.FOUND)
+
+
+def marker_ends(region: Region, silhouette_centroid: Float[np.ndarray, "2"]) -> Endpoints:
+    """The ends of a marker on its principal axis, to a fraction of a pixel; the tip is the far end from the person.
+
+    A marker holds a few dozen pixels, too few for slices: its length is that of the bar with the same second moments,
+    in which every pixel has a say and not the outermost alone.
+    """
+    half = BAR * region.major / 2 * np.array([np.cos(region.orientation), -np.sin(region.orientation)])
+    near, far = sorted(
+        (region.centroid - half, region.centroid + half), key=lambda end: float(np.hypot(*(end - silhouette_centroid)))
+    )
+    return Endpoints(far, near)
 
 
 def marker_mask(image: Image, model: MarkerModel) -> Bool[np.ndarray, "H W"]:
@@ -120,7 +134,3 @@ def _mean_hue(hues: Float[np.ndarray, " N"]) -> float:
 
 def _hue_distance(hues: Float[np.ndarray, " N"], middle: float) -> Float[np.ndarray, " N"]:
     return np.abs((hues - middle + CIRCLE / 2) % CIRCLE - CIRCLE / 2)
-
-
-def _missing(reason: MarkerReason) -> Marker:
-    return Marker(np.zeros((0, 0), dtype=bool), None, reason)

@@ -69,7 +69,7 @@ def watch_session(
         FileFormatError: a video that cannot be decoded at all.
         InsufficientDataError: too few frames to learn a background from.
     """
-    jobs = [_job(session, camera, settings, cache) for camera in range(len(session.names))]
+    jobs = [camera_job(session, camera, settings, cache) for camera in range(len(session.names))]
     for job in jobs:
         if anew and job.kept is not None:
             job.kept.unlink(missing_ok=True)
@@ -106,7 +106,7 @@ def watch_camera(job: CameraJob, advance: Advance) -> CameraViews:
     source = open_frames(job.video)
     background, threshold, notes = learn_room(job, source)
     watcher = PersonWatch(background, threshold, job.focal_px, job.settings)
-    frames = _Frames(job, source)
+    frames = Frames(job, source)
     views = watch(frames.read(), len(job.frame_index), source.size, watcher, advance, notes)
     views = replace(views, notes=(*notes, *frames.notes))
     if job.kept is not None:
@@ -143,7 +143,7 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
     return background, learn_threshold(counts, settings.motion), notes
 
 
-class _Frames:
+class Frames:
     """The frames of one camera by moment; a video that ends early leaves moments without one, and a note."""
 
     def __init__(self, job: CameraJob, source: FrameSource):
@@ -200,7 +200,8 @@ def _until_end(source: FrameSource, wanted: np.ndarray) -> Iterator[tuple[int, I
             raise
 
 
-def _job(session: Session, camera: int, settings: PersonSettings, cache: Path | None) -> CameraJob:
+def camera_job(session: Session, camera: int, settings: PersonSettings, cache: Path | None) -> CameraJob:
+    """What to look for, and where, in one camera of a session."""
     width = float(session.sizes[camera, 0])
     focal = FOCAL_OF_WIDTH * width if session.rig is None else float(np.mean(session.rig.cameras.focal[camera]))
     job = CameraJob(
@@ -212,12 +213,12 @@ def _job(session: Session, camera: int, settings: PersonSettings, cache: Path | 
         settings,
         None,
     )
-    return job if cache is None else replace(job, kept=cache / f"{_key(job)}.npz")
+    return job if cache is None else replace(job, kept=cache / f"{content_key(job)}.npz")
 
 
-def _key(job: CameraJob) -> str:
-    """What the result depends on: content, frames taken, focal length, settings, and the detectors' version."""
-    digest = hashlib.sha256(f"{FORMAT} {job.focal_px!r}\n{to_toml(job.settings)}".encode())
+def content_key(job: CameraJob, more: str = "") -> str:
+    """What the result depends on: content, frames taken, focal length, settings, detectors' version, and `more`."""
+    digest = hashlib.sha256(f"{FORMAT} {job.focal_px!r}\n{to_toml(job.settings)}{more}".encode())
     digest.update(np.ascontiguousarray(job.frame_index).tobytes())
     for path in (job.video, job.empty):
         digest.update(b"-" if path is None else _content(path))

@@ -1,0 +1,70 @@
+"""Where a marker was picked in images: `samples.csv`, by which its colour is learnt.
+
+Columns `camera,frame,x,y` and, if wanted, `radius_px`: the camera's name, the number of the moment in the session, the
+pixel ((0, 0) is the centre of the top-left one), and how far around it all pixels lie on the marker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxpoint.io.files import Row, StrPath, read_table
+from jaxpoint.io.session import Session
+
+
+@dataclass(frozen=True)
+class MarkerSample:
+    """A disc of pixels on the marker."""
+
+    camera: int  # place among the session's
+    moment: int  # place among the session's
+    x: float  # px
+    y: float  # px
+    radius_px: float
+
+
+def read_marker_samples(path: StrPath, session: Session, radius_px: float) -> list[MarkerSample]:
+    """The samples in a file.
+
+    Args:
+        path: the file.
+        session: in whose images they were picked.
+        radius_px: where the file does not say it.
+
+    Raises:
+        FileFormatError: a missing column or value, an unknown camera, a moment of which the camera has no image, or a
+            place outside of the image.
+    """
+    return [_sample(row, session, radius_px) for row in read_table(path, ("camera", "frame", "x", "y"))]
+
+
+def _sample(row: Row, session: Session, radius_px: float) -> MarkerSample:
+    camera = _camera(row, session.names)
+    frame = row.integer("frame")
+    found = np.flatnonzero(session.moments == frame)
+    if not len(found) or session.frame_index[found[0], camera] < 0:
+        raise row.error(
+            f"camera '{session.names[camera]}' has no image of frame {frame}; the session's frames go from "
+            f"{session.moments.min()} to {session.moments.max()}."
+        )
+    x, y = row.number("x"), row.number("y")
+    width, height = session.sizes[camera].tolist()
+    if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+        raise row.error(
+            f"({x:g}, {y:g}) lies outside the image of camera '{session.names[camera]}', which has {width} x {height} "
+            "px; pick the marker inside it."
+        )
+    radius = radius_px if row.missing("radius_px") else row.number("radius_px")
+    if radius < 0:
+        raise row.error(f"column 'radius_px' is {radius:g}; give 0 or more.")
+    return MarkerSample(camera, int(found[0]), x, y, radius)
+
+
+def _camera(row: Row, names: Sequence[str]) -> int:
+    name = row.text("camera")
+    if name not in names:
+        raise row.error(f"there is no camera '{name}'; the cameras are {', '.join(names)}.")
+    return list(names).index(name)

@@ -1,0 +1,248 @@
+"""A coloured marker through a session: learnt from picked pixels, looked for in every view, kept like people are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+from jaxpoint.config.person import MarkerSettings, PersonSettings
+from jaxpoint.detect.colour import Image, is_grey
+from jaxpoint.detect.marker import MarkerModel, MarkerReason, find_markers, marker_ends, train_marker
+from jaxpoint.detect.person import FrameReason, Look, PersonWatch
+from jaxpoint.detect.workers import Advance, run_cameras
+from jaxpoint.errors import FileFormatError, InsufficientDataError
+from jaxpoint.io.files import replacing
+from jaxpoint.io.marker_samples import MarkerSample
+from jaxpoint.io.session import Session
+from jaxpoint.io.video import open_frames
+from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room
+
+FORMAT = 1  # of the kept files; higher whenever the marker is found otherwise
+
+
+@dataclass(frozen=True)
+class CameraMarkers:
+    """F moments of one camera, and M places in them that may be the marker, the largest of a moment first."""
+
+    reasons: Int[np.ndarray, " F"]  # values of `FrameReason`
+    markers: Int[np.ndarray, " F"]  # values of `MarkerReason`, where there is somebody
+    moment: Int[np.ndarray, " M"]  # place among the F moments, rising
+    area: Int[np.ndarray, " M"]  # px
+    centroid: Float[np.ndarray, "M 2"]  # px
+    tip: Float[np.ndarray, "M 2"]  # px, the end far from the person
+    base: Float[np.ndarray, "M 2"]  # px
+    person: Float[np.ndarray, "M 2"]  # px, centroid of the silhouette
+    notes: tuple[str, ...] = ()
+
+    def of(self, moment: int) -> range:
+        """The places of one moment."""
+        first, last = np.searchsorted(self.moment, [moment, moment + 1])
+        return range(int(first), int(last))
+
+
+@dataclass(frozen=True)
+class MarkerJob:
+    """What a process needs to look for the marker in one camera."""
+
+    camera: CameraJob
+    model: MarkerModel
+
+
+def picked_pixels(session: Session, samples: Sequence[MarkerSample]) -> UInt8[np.ndarray, "N 3"]:
+    """The pixels of all samples, blue, green, red.
+
+    Raises:
+        FileFormatError: an image cannot be decoded.
+        InsufficientDataError: an image has no colour.
+    """
+    picked = [np.zeros((0, 3), np.uint8)]
+    for camera in sorted({sample.camera for sample in samples}):
+        own = [sample for sample in samples if sample.camera == camera]
+        source = open_frames(session.videos[camera])
+        index = np.array([session.frame_index[sample.moment, camera] for sample in own])
+        for frame, image in source.stream(np.unique(index)):
+            if is_grey(image):
+                raise InsufficientDataError(
+                    f"Camera '{session.names[camera]}' has no colour in frame {frame} (its channels are alike), and a "
+                    "marker is known by its hue; pick in the images of colour cameras."
+                )
+            picked += [
+                disc(image, sample.x, sample.y, sample.radius_px) for sample, at in zip(own, index) if at == frame
+            ]
+    return np.concatenate(picked)
+
+
+def learn_marker(session: Session, samples: Sequence[MarkerSample], settings: MarkerSettings) -> MarkerModel:
+    """The marker's colour from pixels picked in a session.
+
+    Raises:
+        FileFormatError: an image cannot be decoded.
+        InsufficientDataError: an image has no colour, or the pixels are too few or grey.
+    """
+    return train_marker(picked_pixels(session, samples), settings)
+
+
+def watch_markers(
+    session: Session,
+    model: MarkerModel,
+    settings: PersonSettings,
+    *,
+    cache: Path | None = None,
+    anew: bool = False,
+    workers: int = 0,
+    progress: Progress | None = None,
+) -> tuple[CameraMarkers, ...]:
+    """Where every camera may have seen the marker. Deterministic, whatever the number of processes.
+
+    Processes are spawned, so a script must call this under `if __name__ == "__main__":` (or with `workers=1`).
+
+    Args:
+        session: the videos.
+        model: of the marker.
+        settings: of all detectors.
+        cache: folder of what earlier calls found; None keeps nothing.
+        anew: look again where something was kept.
+        workers: processes at most; 0 for one a core.
+        progress: called in this process.
+
+    Raises:
+        FileFormatError: a video that cannot be decoded at all.
+        InsufficientDataError: too few frames to learn a background from.
+    """
+    jobs = [_job(session, camera, model, settings, cache) for camera in range(len(session.names))]
+    for job in jobs:
+        if anew and job.camera.kept is not None:
+            job.camera.kept.unlink(missing_ok=True)
+    finished: dict[int, CameraMarkers] = {}
+
+    def report(camera: int, done: int, total: int) -> None:
+        if progress:
+            progress(session.names[camera], done, total)
+
+    run_cameras(watch_camera, jobs, workers, finished, report)
+    return tuple(finished[camera] for camera in range(len(jobs)))
+
+
+def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
+    """Learn one camera's room, then look through its frames.
+
+    Raises:
+        FileFormatError: no frame of the video can be decoded.
+        InsufficientDataError: too few frames to learn a background from.
+    """
+    own = job.camera
+    if own.kept is not None and own.kept.is_file():
+        try:
+            markers = load_markers(own.kept)
+        except FileFormatError:  # of another version, or cut off: looked at anew and replaced
+            own.kept.unlink(missing_ok=True)
+        else:
+            advance(len(own.frame_index), len(own.frame_index))
+            return markers
+    source = open_frames(own.video)
+    background, threshold, notes = learn_room(own, source)
+    watcher = PersonWatch(background, threshold, own.focal_px, own.settings)
+    frames = Frames(own, source)
+    markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, own.settings.marker, advance)
+    markers = replace(markers, notes=(*notes, *frames.notes))
+    if own.kept is not None:
+        own.kept.parent.mkdir(parents=True, exist_ok=True)
+        save_markers(own.kept, markers)
+    return markers
+
+
+def look_for_marker(
+    frames: Iterable[tuple[int, Image | None]],
+    moments: int,
+    watcher: PersonWatch,
+    model: MarkerModel,
+    settings: MarkerSettings,
+    advance: Callable[[int, int], None] | None = None,
+) -> CameraMarkers:
+    """Look for the marker in one camera's frames.
+
+    Args:
+        frames: moment and image in their order; None, or a moment left out, where the camera has no frame.
+        moments: F.
+        watcher: of people; fresh, for this camera.
+        model: of the marker.
+        settings: of the marker.
+        advance: called with moments done and to do.
+    """
+    reasons = np.full(moments, FrameReason.NO_IMAGE, int)
+    why = np.full(moments, MarkerReason.NO_COLOUR, int)
+    found: list[tuple] = []
+    for moment, image in frames:
+        if image is not None:
+            look = watcher.look(image)
+            reasons[moment] = look.reason
+            places, why[moment] = _places(image, look, model, settings)
+            found += [(moment, *place) for place in places]
+        if advance:
+            advance(moment + 1, moments)
+    kinds = ((int, ()), (int, ()), *([(float, (2,))] * 4))
+    columns = [
+        np.array([one[i] for one in found], dtype=kind).reshape(len(found), *shape)
+        for i, (kind, shape) in enumerate(kinds)
+    ]
+    return CameraMarkers(reasons, why, *columns)
+
+
+def _places(image: Image, look: Look, model: MarkerModel, settings: MarkerSettings) -> tuple[list[tuple], MarkerReason]:
+    """Area, centroid, tip, base and person of each candidate, the largest first; or why there is none."""
+    places, why = [], MarkerReason.NO_COLOUR
+    for sighting in look.sightings:
+        person = sighting.silhouette.region.centroid
+        markers = find_markers(image, sighting.silhouette, model, settings)
+        if not places:
+            why = max(why, markers.reason) if markers.reason != MarkerReason.FOUND else MarkerReason.FOUND
+        for region in markers.regions:
+            ends = marker_ends(region, person)
+            places.append((region.area, region.centroid, ends.tip, ends.base, person))
+    return sorted(places, key=lambda place: -place[0]), why
+
+
+def disc(image: Image, x: float, y: float, radius_px: float) -> UInt8[np.ndarray, "N 3"]:
+    """The pixels of an image whose centres lie within a radius of (x, y) px; the nearest one at least."""
+    reach = int(np.ceil(radius_px))
+    left, top = round(x) - reach, round(y) - reach
+    rows, columns = np.mgrid[top : top + 2 * reach + 1, left : left + 2 * reach + 1]
+    inside = (np.hypot(columns - x, rows - y) <= radius_px) | ((rows == round(y)) & (columns == round(x)))
+    inside &= (rows >= 0) & (columns >= 0) & (rows < image.shape[0]) & (columns < image.shape[1])
+    return image[rows[inside], columns[inside]]
+
+
+def _job(session: Session, camera: int, model: MarkerModel, settings: PersonSettings, cache: Path | None) -> MarkerJob:
+    own = camera_job(session, camera, settings, None)
+    if cache is not None:
+        own = replace(own, kept=cache / f"marker-{content_key(own, f'{FORMAT} {model!r}')}.npz")
+    return MarkerJob(own, model)
+
+
+_ARRAYS = ("reasons", "markers", "moment", "area", "centroid", "tip", "base", "person")
+
+
+def save_markers(path: Path, markers: CameraMarkers) -> None:
+    """Keep what one camera saw in a file; it appears whole or not at all."""
+    arrays = {name: getattr(markers, name) for name in _ARRAYS}
+    with replacing(path) as file:
+        np.savez(file, format=FORMAT, notes=np.array(markers.notes, dtype=str), **arrays)
+
+
+def load_markers(path: Path) -> CameraMarkers:
+    """What `save_markers` kept.
+
+    Raises:
+        FileFormatError: it is no such file, or of another version.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as kept:
+            if int(kept["format"]) != FORMAT:
+                raise FileFormatError(f"'{path}' was kept by another version of jaxpoint; delete it.")
+            return CameraMarkers(*(kept[name] for name in _ARRAYS), tuple(kept["notes"].tolist()))
+    except (OSError, ValueError, KeyError) as error:
+        raise FileFormatError(f"'{path}' cannot be read as kept markers ({error}); delete it.") from None
