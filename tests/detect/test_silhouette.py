@@ -139,7 +139,7 @@ def test_closing_is_dilation_then_erosion():
 def test_too_few_images_and_another_size_are_refused(drawn, scene):
     empty, background, _ = scene
     image = drawn.exposed(empty, np.random.default_rng(9))
-    with pytest.raises(InsufficientDataError, match="at least 20 images, and there are 3"):
+    with pytest.raises(InsufficientDataError, match=f"at least {SETTINGS.min_frames} images, and there are 3"):
         learn_background([image] * 3, SETTINGS)
     with pytest.raises(ValueError, match="learn it anew"):
         foreground(image[:100], background, SETTINGS)
