@@ -26,6 +26,7 @@ from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.demo import Demo
 from jaxpoint.commands.detect_led import DetectLed
+from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
@@ -35,7 +36,9 @@ from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, checked, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
-Command = DetectLed | DetectPerson | Check | Calibrate | Align | Validate | Diff | Doctor | Demo | Simulate
+Command = (
+    DetectLed | DetectPerson | DetectMarker | Check | Calibrate | Align | Validate | Diff | Doctor | Demo | Simulate
+)
 COMMANDS = get_args(Command)
 GROUPS = {"detect": "Find something in the images of every camera."}
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.

@@ -53,8 +53,8 @@ def test_the_cap_on_the_finger_is_found(drawn, scene, name, gates):
     assert found.regions[0].area > 0.5 * np.count_nonzero(cap)
 
 
-@pytest.mark.parametrize("length", [6.0, 12.0, 30.0])
-def test_ends_are_found_to_a_fraction_of_a_pixel(length):
+@pytest.mark.parametrize(("length", "most"), [(6.0, 0.5), (12.0, 0.25), (30.0, 0.25)])
+def test_ends_are_found_to_a_fraction_of_a_pixel(length, most):
     rng = np.random.default_rng(7)
     rows, columns = np.mgrid[:60, :60]
     errors = []
@@ -66,7 +66,7 @@ def test_ends_are_found_to_a_fraction_of_a_pixel(length):
         far = center + np.sign(along @ (center - [5.0, 50.0])) * length / 2 * along
         ends = marker_ends(region_of(inside), np.array([5.0, 50.0]))
         errors += [ends.tip - far, ends.base - (2 * center - far)]
-    assert np.sqrt(np.mean(np.square(errors))) < 0.4  # px; the outermost pixel's centre is off by 0.5 and more
+    assert np.sqrt(np.mean(np.square(errors))) < most  # px
 
 
 def test_one_reason_for_every_cause(drawn, scene):
@@ -90,6 +90,16 @@ def test_the_hue_is_averaged_on_the_circle():
     assert {*hues.tolist()} & {0, 1}
     middle = stats.circmean(hues, high=180)
     assert abs((model.hue - middle + 90) % 180 - 90) < 1e-6
+
+
+def test_clicks_beside_the_marker_change_little():
+    rng = np.random.default_rng(8)
+    own = picked(COLOURS["cyan"], rng)
+    beside = picked(COLOURS["red"], rng, 60)
+    clean, spoilt = (train_marker(pixels, SETTINGS) for pixels in (own, np.concatenate([own, beside])))
+    assert abs(clean.hue - spoilt.hue) < 0.5
+    assert clean.hue_gate == pytest.approx(spoilt.hue_gate, rel=0.2)
+    assert clean.saturation == pytest.approx(spoilt.saturation, abs=3)
 
 
 def test_the_gates_are_written_out():

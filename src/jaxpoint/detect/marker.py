@@ -18,6 +18,7 @@ from jaxpoint.errors import InsufficientDataError
 
 LEVELS = np.arange(256.0)
 BAR = np.sqrt(12) / 4  # length of a bar over the major axis of the ellipse with its second moments
+DEVIATION_OF_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 CIRCLE = 180  # OpenCV's hues of 8-bit images
 
 
@@ -67,12 +68,17 @@ def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings)
             f"The picked pixels have a median saturation of {np.median(saturation):.0f} of 255, below "
             f"{settings.min_saturation:.0f}, so that their hue is noise; use a marker of a strong colour."
         )
-    middle = _mean_hue(hue)
-    spreads = np.array([_hue_distance(hue, middle).std(), saturation.std(), value.std()])
+    # A click beside the marker, or on its edge, must neither move the middle nor open the gates.
+    nearest = np.argmin([np.median(_hue_distance(hue, level)) for level in range(CIRCLE)])
+    kept = _hue_distance(hue, float(nearest)) <= 2 * settings.hue_gate
+    hue, saturation, value = hue[kept], saturation[kept], value[kept]
+    middle = np.array([_mean_hue(hue), np.median(saturation), np.median(value)])
+    off = (_hue_distance(hue, middle[0]), np.abs(saturation - middle[1]), np.abs(value - middle[2]))
+    spreads = DEVIATION_OF_MEDIAN * np.median(off, axis=1)
     fixed = np.array([settings.hue_gate, settings.saturation_gate, settings.value_gate])
     learnt = np.clip(settings.deviations * spreads, fixed / 2, 2 * fixed)
     gates = learnt if settings.gates == "sigma" else fixed
-    return MarkerModel(middle, float(saturation.mean()), float(value.mean()), *gates.tolist())
+    return MarkerModel(*middle.tolist(), *gates.tolist())
 
 
 def find_markers(image: Image, silhouette: Silhouette, model: MarkerModel, settings: MarkerSettings) -> Markers:

@@ -23,6 +23,7 @@ from jaxpoint.person.markers import CameraMarkers
 from jaxpoint.pointing.axis import LimbAxis, fit_axis
 
 SIGMA_PX = 0.5  # error of a marker's end across its axis: of a few pixels' mean
+MOST_SIGMA = np.deg2rad(15.0)  # of a direction that is worth giving
 BATCH = 64  # moments whose axes are fitted at once, so that one program does for all
 TIP, BASE, CENTROID, PERSON = range(4)
 
@@ -31,7 +32,7 @@ class TipReason(IntEnum):
     """Whether the marker was found in the room, or why not."""
 
     FOUND = 0
-    NO_AXIS = 1  # found, but its views lie in one plane with it, so that its direction is not known
+    NO_AXIS = 1  # found, but its direction is not: its views lie in one plane with it, or it is a mere blob
     NO_VIEW = 2  # no view shows its colour
     ONE_VIEW = 3
     DISAGREE = 4  # no two views show it in one place
@@ -93,7 +94,9 @@ def marker_tips(rig: CameraRig, markers: Sequence[CameraMarkers], settings: Mark
             else:
                 open_axes.append((moment, sights, *_rough(sights, direction)))
     for (moment, sights, _, _), axis in zip(open_axes, _fitted(rig, [one[1:] for one in open_axes])):
-        tips[moment] = _on_axis(sights, axis, tips[moment].members)
+        members = tips[moment].members
+        tip = _on_axis(sights, axis, members)
+        tips[moment] = tip if tip.direction_sigma <= MOST_SIGMA else _without_axis(sights, members)
     return tips
 
 

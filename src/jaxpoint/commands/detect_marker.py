@@ -1,0 +1,165 @@
+"""`jaxpoint detect marker`: a session's videos and a few picked pixels to the tip of a coloured marker."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import hush_opencv
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config.person import PersonSettings
+from jaxpoint.errors import InsufficientDataError
+
+if TYPE_CHECKING:
+    from jaxpoint.detect.marker import MarkerModel
+    from jaxpoint.io.session import Session
+    from jaxpoint.person.marker_tips import MarkerTip
+    from jaxpoint.person.markers import CameraMarkers
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectMarker(SeededOptions):
+    """Find a coloured marker on a pointing finger in a session's videos, and its tip in the room.
+
+    jaxpoint detect marker session/ --samples samples.csv --out marker-run
+
+    Say in samples.csv (camera,frame,x,y and, if wanted, radius_px) where the marker lies in a few images; its colour is
+    learnt there. It is looked for on people, so a recording of the empty room helps as it does for detect person.
+    Without a calibration each view is looked at alone.
+    """
+
+    session: Annotated[Path, tyro.conf.Positional]
+    """Folder of the session, or of its videos."""
+    samples: Path
+    """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the moment."""
+    calibration: Path | None = None
+    """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    format: Literal["csv", "parquet"] = "csv"
+    """Form of the tables; parquet needs pyarrow."""
+    cache: Path | None = None
+    """Folder in which what is found in videos is kept, by their content and the settings; by default the user's cache
+    folder."""
+    anew: bool = False
+    """Look through the videos again, whatever was kept."""
+    workers: Count = 0
+    """Processes used, one camera each; 0 takes one per core."""
+    settings: Annotated[PersonSettings, Inline] = field(default_factory=PersonSettings)
+
+    @staticmethod
+    def with_defaults(room: RoomConfig) -> DetectMarker:
+        """The command's defaults under a configuration file."""
+        return DetectMarker(
+            session=tyro.MISSING, samples=tyro.MISSING, settings=room.detect.person, runtime=room.runtime
+        )
+
+    def run(self, console: Console) -> Outcome:
+        """Write the tables into `--out`."""
+        hush_opencv(self.verbose)
+        from jaxpoint.io.marker_samples import read_marker_samples
+        from jaxpoint.io.session import open_session
+        from jaxpoint.io.table import check_table_path
+        from jaxpoint.person.marker_tips import marker_tips
+        from jaxpoint.person.markers import learn_marker, watch_markers
+        from jaxpoint.person.recording import default_cache
+        from jaxpoint.runs import check_out
+
+        out = self.needed_out("marker-run")
+        check_out(out, self.force)
+        check_table_path(out / f"detections.{self.format}")
+        session = open_session(self.session, self.calibration)
+        samples = read_marker_samples(self.samples, session, self.settings.marker.sample_radius_px)
+        model = learn_marker(session, samples, self.settings.marker)
+        kept = self.cache or default_cache()
+        with console.progress() as progress:
+            markers = watch_markers(
+                session, model, self.settings, cache=kept, anew=self.anew, workers=self.workers, progress=progress
+            )
+        tips = None
+        if session.rig is not None and len(session.names) > 1:
+            tips = marker_tips(session.rig, markers, self.settings.marker)
+        figures = _write(self, out, session, model, markers, tips)
+        return Outcome(figures, _lines(figures, out), _failure(figures))
+
+
+def _write(
+    command: DetectMarker,
+    out: Path,
+    session: Session,
+    model: MarkerModel,
+    markers: tuple[CameraMarkers, ...],
+    tips: list[MarkerTip] | None,
+) -> dict[str, Any]:
+    from jaxpoint.config import DetectSettings, to_toml
+    from jaxpoint.io.table import write_table
+    from jaxpoint.person.marker_tables import in_room, seen
+    from jaxpoint.runs import MARK, new_run, provenance, write_json
+
+    figures = {"run": str(out), **_figures(session, model, markers, tips)}
+    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session, command.samples], command.seed)
+    with new_run(out, command.force) as folder:
+        write_json(folder / MARK, made)
+        write_json(folder / "metrics.json", figures)
+        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings)))
+        (folder / "config.toml").write_text(settings, encoding="utf-8")
+        write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
+        if tips is not None:
+            write_table(folder / f"markers.{command.format}", in_room(session, tips))
+    return figures
+
+
+def _figures(
+    session: Session, model: MarkerModel, markers: tuple[CameraMarkers, ...], tips: list[MarkerTip] | None
+) -> dict[str, Any]:
+    from jaxpoint.person.marker_tables import why
+
+    cameras = []
+    for name, own in zip(session.names, markers):
+        reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
+        cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
+    figures: dict[str, Any] = {
+        "moments": len(session.moments),
+        "model": asdict(model),
+        "cameras": cameras,
+        "in_room": None,
+        "notes": [*session.notes, *(note for own in markers for note in own.notes)],
+    }
+    if tips is not None:
+        reasons = Counter(tip.reason.name.lower() for tip in tips if not tip.found)
+        figures["in_room"] = {"tips": sum(tip.found for tip in tips), "reasons": reasons}
+    return figures
+
+
+def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
+    rows = [
+        (camera["name"], f"{camera['found']}/{camera['frames']}", _counts(camera["reasons"]))
+        for camera in figures["cameras"]
+    ]
+    lines = table(("camera", "marker in", "other frames"), rows)
+    room = figures["in_room"]
+    if room is None:
+        lines += ("No tips in the room: these need a calibration (--calibration) and two cameras or more.",)
+    else:
+        others = f"; others: {_counts(room['reasons'])}" if room["reasons"] else ""
+        lines += (f"Tips in the room: {room['tips']} of {figures['moments']} moments{others}.",)
+    return (*lines, *figures["notes"], f"Tables: {out}")
+
+
+def _counts(reasons: dict[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+
+
+def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
+    if any(camera["found"] for camera in figures["cameras"]):
+        return None
+    return InsufficientDataError(
+        f"The marker was found in none of {figures['moments']} moments of {len(figures['cameras'])} cameras; the table "
+        "says what each frame held. Pick more of the marker, in other light too, or widen --marker.deviations."
+    )
