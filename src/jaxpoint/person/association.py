@@ -21,6 +21,7 @@ AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
 ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
 SHOULDER_BELOW_M = 0.28  # under the centre of the head
 ELBOW_REACH_M = (0.10, 0.68)  # from the middle between the shoulders to the elbow
+BENT_M = 0.10  # nearer to the shoulders than the elbow a hand may be, where the elbow is bent
 TIP_REACH_M = 1.25  # from the head
 _FOREARM = slice(round(0.17 / SLICE_M), round(0.40 / SLICE_M))
 
@@ -253,8 +254,10 @@ def _possible(tips, directions, head) -> Bool[np.ndarray, " H"]:
         return np.ones(len(tips), bool)
     shoulder = head - np.array([0.0, 0.0, SHOULDER_BELOW_M])
     elbow = np.linalg.norm(tips - ELBOW_M * directions - shoulder, axis=1)
+    out = np.linalg.norm(tips - shoulder, axis=1)
     near = np.linalg.norm(tips - head, axis=1) < TIP_REACH_M
-    return near & (elbow > ELBOW_REACH_M[0]) & (elbow < ELBOW_REACH_M[1])
+    # A hand that points is farther out than its elbow; the other end of a bare arm is not.
+    return near & (elbow > ELBOW_REACH_M[0]) & (elbow < ELBOW_REACH_M[1]) & (out > elbow - BENT_M)
 
 
 def _agreement(limbs, normal, inward, tips, directions) -> Float[np.ndarray, "H N"]:

@@ -16,6 +16,7 @@ from jaxpoint.person.views import CameraViews, head_found
 from jaxpoint.tracking.result import Tracking
 from jaxpoint.tracking.tracker import track_heads
 
+HEAD_SIGMA = 0.07  # of its height, the error of a head's middle in one view
 INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
 
 
@@ -50,13 +51,14 @@ def follow(
     Raises:
         InsufficientDataError: fewer than two cameras.
     """
-    pixels, valid, index = _heads(views, len(times))
+    pixels, valid, sigma, index = _heads(views, len(times))
 
     def tell(share: float) -> None:
         if progress:
             progress("heads", round(share * len(times)), len(times))
 
-    tracking = track_heads(rig, pixels, valid, times, settings or TrackSettings(), frame_ids=frame_ids, progress=tell)
+    settings = settings or TrackSettings()
+    tracking = track_heads(rig, pixels, valid, times, settings, sigma_px=sigma, frame_ids=frame_ids, progress=tell)
     heads = tracking.heads
     sightings = np.full(tracking.candidates.shape, -1)
     arms: dict[tuple[int, int], PointingArm | None] = {}
@@ -81,18 +83,20 @@ def follow(
 
 
 def _heads(views: Sequence[CameraViews], moments: int):
-    """Candidates of heads as arrays (F, C, K): pixels, which there are, and whose sighting each is."""
+    """Candidates of heads as arrays (F, C, K): pixels, which there are, their errors (px), whose sighting each is."""
     most = max((int(np.bincount(view.moment).max(initial=1)) for view in views if len(view.moment)), default=1)
     pixels = np.zeros((moments, len(views), most, 2))
     valid = np.zeros((moments, len(views), most), bool)
+    sigma = np.ones((moments, len(views), most))
     index = np.full((moments, len(views), most), -1)
     for camera, view in enumerate(views):
         found = head_found(view)
         place = np.arange(len(view.moment)) - np.searchsorted(view.moment, view.moment)
         pixels[view.moment, camera, place] = view.head
         valid[view.moment, camera, place] = found
+        sigma[view.moment, camera, place] = np.maximum(1.0, HEAD_SIGMA * view.head_height)
         index[view.moment, camera, place] = np.arange(len(view.moment))
-    return pixels, valid, index
+    return pixels, valid, sigma, index
 
 
 def _sighting(view: CameraViews, moment: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
