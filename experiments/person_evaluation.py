@@ -92,18 +92,8 @@ def summary(views: list[dict], gestures: list[dict]) -> str:
     rows = [
         ("views looked at, usable", f"{len(views)}, {len(usable)}", "", ""),
         ("gestures, with two or more usable views", f"{len(gestures)}, {len(enough)}", "", ""),
-        (
-            "right region of usable views, %",
-            _share(usable, "default", "right"),
-            _share(usable, "thesis", "right"),
-            ">= 95",
-        ),
-        (
-            "wrong region, %",
-            _share(usable, "default", "wrong"),
-            _share(usable, "thesis", "wrong"),
-            "<= 1 (thesis >= 15)",
-        ),
+        ("right region of usable views, %", *_shares(usable, "right"), ">= 95"),
+        ("wrong region, %", *_shares(usable, "wrong"), "<= 1 (thesis >= 15)"),
         ("gestures with an answer, %", f"{100 * len(answered) / max(1, len(enough)):.1f}", "", ">= 97"),
         ("direction, degrees: median", _interval(direction, np.median), "", "<= 1.0"),
         ("direction, degrees: mean", _interval(direction, np.mean), "", "<= 2.0"),
