@@ -130,13 +130,9 @@ def _sampled(labels: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "S n 2"
     if not part.size:
         return np.zeros((2, *places.shape[:2]))
     x, y = cv2.split((places - low).astype(np.float32))
-    return np.stack([
-        cv2.remap(
-            cv2.compare(part, int(kind), cv2.CMP_GE), x, y, cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT, borderValue=0,
-        )
-        for kind in (Pixel.SKIN, Pixel.PERSON)
-    ]) / 255.0  # fmt: skip
+    masks = (cv2.threshold(part, kind - 1, 255, cv2.THRESH_BINARY)[1] for kind in (Pixel.SKIN, Pixel.PERSON))
+    # Outside the image is nothing: OpenCV's default border is a constant 0.
+    return np.stack([cv2.remap(mask, x, y, cv2.INTER_LINEAR) for mask in masks]) / 255.0
 
 
 def _tapers(

@@ -206,8 +206,9 @@ def _fit_outline(
     place = np.array([x, y])
     corner, size = np.array(silhouette.box[:2]), np.array(silhouette.image_size)
     first, last = BORDER - corner, size - 1 - BORDER - corner
+    bits = silhouette.mask[: math.ceil(y + 2 * height) + 1].astype(np.float32)  # what lies farther below is not reached
     for _ in range(OUTLINE_ROUNDS):
-        points, found = _outline(silhouette.mask, place, half)
+        points, found = _outline(bits, place, half)
         found &= ((points > first) & (points < last)).all(axis=1)
         if np.count_nonzero(found) < MIN_OUTLINE * len(ANGLES):
             break
@@ -217,12 +218,12 @@ def _fit_outline(
 
 
 def _outline(
-    mask: Bool[np.ndarray, "h w"], place: Float[np.ndarray, "2"], half: Float[np.ndarray, "2"]
+    mask: Float32[np.ndarray, "h w"], place: Float[np.ndarray, "2"], half: Float[np.ndarray, "2"]
 ) -> tuple[Float[np.ndarray, "A 2"], Bool[np.ndarray, " A"]]:
     """Where rays from the middle leave the mask first, and which of them do so near the expected outline."""
     directions = half * np.stack([np.sin(ANGLES), -np.cos(ANGLES)], axis=1)
     places = (place + RADII[:, None, None] * directions).astype(np.float32)  # R A 2
-    values = cv2.remap(mask.astype(np.float32), places[..., 0], places[..., 1], cv2.INTER_LINEAR)
+    values = cv2.remap(mask, places[..., 0], places[..., 1], cv2.INTER_LINEAR)
     outside = values < 0.5
     first = outside.argmax(axis=0)
     found = outside.any(axis=0) & (first > 0)

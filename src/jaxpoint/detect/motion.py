@@ -30,8 +30,18 @@ def motion_between(previous: Image, image: Image, settings: MotionSettings) -> M
     """
     if previous.shape != image.shape:
         raise ValueError(f"Images of {previous.shape[1::-1]} and {image.shape[1::-1]} px cannot be compared.")
-    shrink = shrink_of(image.shape[1], settings.width_px)
-    before, after = (cv2.cvtColor(shrunk(one, shrink), cv2.COLOR_BGR2YCrCb) for one in (previous, image))
+    return motion_of(motion_image(previous, settings), motion_image(image, settings), settings)
+
+
+def motion_image(image: Image, settings: MotionSettings) -> UInt8[np.ndarray, "h w 3"]:
+    """What `motion_of` compares: the image at its size, as Y, Cr, Cb."""
+    return cv2.cvtColor(shrunk(image, shrink_of(image.shape[1], settings.width_px)), cv2.COLOR_BGR2YCrCb)
+
+
+def motion_of(
+    before: UInt8[np.ndarray, "h w 3"], after: UInt8[np.ndarray, "h w 3"], settings: MotionSettings
+) -> Motion:
+    """As `motion_between`, of what `motion_image` made of both: successive pairs share an image."""
     y, cr, cb = cv2.split(cv2.absdiff(before, after))
     total = cv2.add(cv2.add(y, cr), cb)  # 0..765 saturates at 255, far above both thresholds of the edges
     edges = cv2.countNonZero(cv2.Canny(total, settings.canny_low, settings.canny_high))

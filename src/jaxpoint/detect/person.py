@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
+import cv2
 import numpy as np
 from jaxtyping import UInt8
 
@@ -12,7 +13,7 @@ from jaxpoint.config.person import PersonSettings
 from jaxpoint.detect.arm import Crop, Pixel
 from jaxpoint.detect.colour import Image, is_grey
 from jaxpoint.detect.head import Head, find_head
-from jaxpoint.detect.motion import motion_between
+from jaxpoint.detect.motion import motion_image, motion_of
 from jaxpoint.detect.silhouette import (
     AdaptiveBackground,
     RoomBackground,
@@ -91,6 +92,7 @@ class PersonWatch:
         self._settings = settings
         self._model = model or skin_model(settings.skin)
         self._previous: Image | None = None
+        self._before: UInt8[np.ndarray, "h w 3"] | None = None  # the same, as motion is told from it
         self._moving = self._still = 0
         self._occupied = True  # until a first look has shown otherwise
 
@@ -98,13 +100,14 @@ class PersonWatch:
         """The next frame."""
         spoilt = _exposure(image)
         previous, self._previous = self._previous, image
+        before, self._before = self._before, motion_image(image, self._settings.motion)
         if spoilt is not None:
             return Look(spoilt, 0, False)
         edges = 0
-        if previous is not None:
+        if previous is not None and before is not None:
             if _same(previous, image):
                 return Look(FrameReason.REPEATED, 0, False)
-            motion = motion_between(previous, image, self._settings.motion)
+            motion = motion_of(before, self._before, self._settings.motion)
             edges = motion.edges
             if motion.is_light_switch:
                 self._occupied = True
@@ -167,17 +170,21 @@ def cut_crop(
     own[y - top : y - top + height, x - left : x - left + width] |= silhouette.mask.view(np.uint8) * np.uint8(255)
     if gap_px > 1:
         own = closed(own, gap_px | 1)
-    part = np.ascontiguousarray(image[top:bottom, left:right])
+    part = image[top:bottom, left:right]
     if room is not None:
-        own = sharpened(own, part, np.ascontiguousarray(room[top:bottom, left:right]), SEAM_LEVELS, SEAM_PX)
-    labels = (own > 0).astype(np.uint8) * np.uint8(Pixel.PERSON)
+        own = sharpened(own, part, room[top:bottom, left:right], SEAM_LEVELS, SEAM_PX)
+    x, y, width, height = cv2.boundingRect(own)  # it is never empty: the silhouette has an inside
+    own, part = (one[y : y + height, x : x + width] for one in (own, part))
+    labels = cv2.threshold(own, 0, int(Pixel.PERSON), cv2.THRESH_BINARY)[1]
     if model is not None:
-        labels[skin_mask(part, model) & (own > 0)] = Pixel.SKIN
-    return Crop(labels, (left, top), silhouette.image_size)
+        skin = skin_mask(np.ascontiguousarray(part), model).view(np.uint8) * np.uint8(Pixel.SKIN)
+        labels = np.where(own > 0, np.maximum(labels, skin), np.uint8(Pixel.NOTHING))
+    return Crop(labels, (left + x, top + y), silhouette.image_size)
 
 
 def _exposure(image: Image) -> FrameReason | None:
-    some = image[4::16, 4::16].max(axis=2)
+    blue, green, red = (image[4::16, 4::16, channel] for channel in range(3))
+    some = np.maximum(np.maximum(blue, green), red)
     if np.percentile(some, 99) < DARK:
         return FrameReason.TOO_DARK
     return FrameReason.BLOWN_OUT if np.mean(some >= SATURATED) > BLOWN else None

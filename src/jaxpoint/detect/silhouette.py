@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
 from jaxpoint.detect.background import median_background
@@ -17,6 +17,7 @@ from jaxpoint.errors import InsufficientDataError
 
 GAIN_GRID = 8  # px between the pixels from which the common gain is taken
 GAIN_RANGE = (20, 235)  # grey levels that are neither noise nor saturated
+GAIN_STRIDE = 6  # the same about one person
 MIN_GAIN_PIXELS = 100
 MAX_GAIN = 2.0
 SHADOW_BRIGHTEST = 0.97  # of the light: what is hardly darker is no shadow, and mostly no foreground
@@ -197,15 +198,26 @@ def sharpened(
     """
     square = np.ones((3, 3), np.uint8)
     outer, inner = cv2.dilate(mask, square, iterations=reach), cv2.erode(mask, square, iterations=reach)
-    outside = outer[::4, ::4] == 0
-    if np.count_nonzero(outside) >= MIN_GAIN_PIXELS:
-        seen, wanted = image[::4, ::4][outside].astype(np.float32), room[::4, ::4][outside].astype(np.float32)
-        image = scaled(image, np.clip((wanted.mean(axis=0) + 1) / (seen.mean(axis=0) + 1), 1 / MAX_GAIN, MAX_GAIN))
+    x, y, width, height = cv2.boundingRect(outer)
+    if not width:
+        return inner
+    part = np.s_[y : y + height, x : x + width]
+    image, room = scaled(image[part], _gains_outside(outer, image, room)), room[part]
     y, cr, cb = cv2.split(
         cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
     )
     differs = cv2.threshold(cv2.add(cv2.add(y, cr), cb), threshold, 255, cv2.THRESH_BINARY)[1]
-    return cv2.bitwise_or(inner, cv2.bitwise_and(outer, cv2.medianBlur(differs, 3)))
+    inner[part] = cv2.bitwise_or(inner[part], cv2.bitwise_and(outer[part], cv2.medianBlur(differs, 3)))
+    return inner
+
+
+def _gains_outside(mask: UInt8[np.ndarray, "h w"], image: Image, room: Image) -> Float[np.ndarray, "3"]:
+    """By which each channel of the image becomes the room, outside a mask."""
+    outside = np.flatnonzero(mask[::GAIN_STRIDE, ::GAIN_STRIDE].ravel() == 0)
+    if len(outside) < MIN_GAIN_PIXELS:
+        return np.ones(3)
+    seen, wanted = (one[::GAIN_STRIDE, ::GAIN_STRIDE].reshape(-1, 3)[outside].mean(axis=0) for one in (image, room))
+    return np.clip((wanted + 1) / (seen + 1), 1 / MAX_GAIN, MAX_GAIN)
 
 
 class AdaptiveBackground:

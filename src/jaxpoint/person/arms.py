@@ -197,12 +197,12 @@ def _measured(
     best = max(tries, key=lambda one: one.agreed)
     tip, _, _ = _common_tip(scene, best.strips, best.axis, own) or (arm.tip, arm.spread, {})
     # The span counts from the tip, which is known better now.
-    best = _settle(scene, tip, best.axis.direction, span, 2)
+    best = _settle(scene, tip, np.asarray(best.axis.direction), span, 2)
     views = _views(scene, best)
     kept = [view.strip if view.reason == ArmReason.FOUND else None for view in views]
     if sum(strip is not None for strip in kept) < 2:
         return None
-    axis = _fit(scene, kept, tip, best.axis.direction, span)
+    axis = _fit(scene, kept, tip, np.asarray(best.axis.direction), span)
     tip, spread, seen = _common_tip(scene, kept, axis, own) or (arm.tip, arm.spread, {})
     projected = np.asarray(scene.rig.project(tip))
     for camera, view in enumerate(views):
@@ -232,13 +232,13 @@ def _settle(
     for _ in range(rounds):
         promised = jax.tree.map(np.asarray, promise(scene.rig, on_axis, direction, span))
         strips = [_strip(crop, promised, camera) for camera, crop in enumerate(scene.crops)]
-        agreed = _agreeing(scene, strips, promised, tip, direction)
+        agreed = _agreeing(scene, strips, promised, on_axis, direction)
         used = strips
         if agreed is not None:
             used, direction = [strip if keep else None for strip, keep in zip(strips, agreed[0])], agreed[1]
-        axis = _fit(scene, used, tip, direction, span)
-        direction = axis.direction
-        on_axis = axis.near + span[0] * direction
+        axis = _fit(scene, used, on_axis, direction, span)
+        direction = np.asarray(axis.direction)
+        on_axis = np.asarray(axis.near) + span[0] * direction
     return _Measured(axis, strips, promised)
 
 
@@ -246,7 +246,9 @@ def _strip(crop: Crop | None, promised: Promise, camera: int) -> Strip | None:
     """The limb's edges in one view; None where it cannot say anything."""
     if crop is None or not promised.ahead[camera] or promised.angle[camera] < FORESHORTENED:
         return None
-    strip = cut_strip(crop, promised.pixels[camera], promised.across[camera], float(promised.pixels_a_metre[camera]))
+    scale = float(promised.pixels_a_metre[camera])
+    pixels, across = np.asarray(promised.pixels), np.asarray(promised.across)
+    strip = cut_strip(crop, pixels[camera], across[camera], scale)
     return strip if (strip.width > 0).sum() >= MIN_SLICES else None
 
 
@@ -298,7 +300,7 @@ def _common_tip(
     padded, place = np.zeros((most, 1, 2)), np.zeros(most, np.int64)
     padded[:count, 0], place[:count] = pixels, views
     rays = np.asarray(rays_through(scene.rig, padded, place))[:count, 0]
-    found = common_point(scene.positions[views], rays, np.array(views), axis.direction)
+    found = common_point(scene.positions[views], rays, np.array(views), np.asarray(axis.direction))
     if found is None:
         return None
     tip, spread, members = found

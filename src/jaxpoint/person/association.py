@@ -16,7 +16,7 @@ from jaxpoint.detect.arm import SLICE_M, SLICES
 TIP_GAP_M = 0.07  # between the tips of two views
 PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
-AXIS_TO_TIP_M = 0.08  # a bent wrist carries the tip this far from the forearm's axis
+AXIS_TO_TIP_M = 0.12  # a bent wrist carries the tip this far from the forearm's axis
 AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
 ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
 SHOULDER_BELOW_M = 0.28  # under the centre of the head

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import jax
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -59,12 +60,25 @@ def follow(
 
     settings = settings or TrackSettings()
     tracking = track_heads(rig, pixels, valid, times, settings, sigma_px=sigma, frame_ids=frame_ids, progress=tell)
+    with jax.enable_x64(True):
+        return _with_arms(rig, views, tracking, index, progress)
+
+
+def _with_arms(
+    rig: CameraRig,
+    views: Sequence[CameraViews],
+    tracking: Tracking,
+    index: Int[np.ndarray, "F C K"],
+    progress: Callable[[str, int, int], None] | None,
+) -> Following:
+    """Whose each sighting is, and the arms of everybody at every moment."""
     heads = tracking.heads
+    moments = len(heads.positions)
     sightings = np.full(tracking.candidates.shape, -1)
     arms: dict[tuple[int, int], PointingArm | None] = {}
     projected = np.asarray(rig.project(heads.positions))
     depth = np.asarray(rig.depth(heads.positions))
-    for moment in range(len(times)):
+    for moment in range(moments):
         for person in np.flatnonzero(heads.present[moment]):
             place = projected[moment, person]
             chosen = [
@@ -78,7 +92,7 @@ def follow(
             head = heads.positions[moment, person]
             arms[moment, int(person)] = find_arm(rig, crops, head, place)
         if progress:
-            progress("arms", moment + 1, len(times))
+            progress("arms", moment + 1, moments)
     return Following(tracking, sightings, arms)
 
 
@@ -103,6 +117,7 @@ def _sighting(view: CameraViews, moment: int, index: np.ndarray, used: int, head
     """The sighting whose head was used; else the one whose box holds the head, the largest first."""
     if used >= 0:
         return int(index[used])
+    head = np.clip(head, 0, np.array(view.size) - 1)  # of who is cut by the image's border the rest is still there
     for sighting in view.of(moment):
         x, y, width, height = view.box[sighting]
         margin = INSIDE * height

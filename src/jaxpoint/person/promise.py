@@ -11,7 +11,7 @@ from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.detect.arm import SLICES
-from jaxpoint.geometry.arrays import AnyArray
+from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.pointing.axis import LimbAxis, fit_axis
 
 NEAREST_M = 0.4  # closer to a camera than this nothing is looked at
@@ -43,6 +43,7 @@ def promise(
         direction: unit, towards the tip.
         span_m: from the tip to the first and to the last slice, m.
     """
+    tip, direction, span_m = as_float(tip), as_float(direction), as_float(span_m)
     reach = jnp.linspace(span_m[0] - _BEYOND_M, span_m[1] + _BEYOND_M, SLICES)
     places = tip - reach[:, None] * direction[None]
     middle = places.mean(axis=0)
@@ -68,7 +69,7 @@ def rays_through(
         own = jax.tree.map(lambda leaf: leaf[camera], rig.cameras)
         return own.ray(places).direction
 
-    return jax.vmap(one)(pixels, cameras)
+    return jax.vmap(one)(as_float(pixels), jnp.asarray(cameras))
 
 
 @jit
@@ -81,6 +82,7 @@ def strips_axis(
     span_m: Float[AnyArray, "2"],
 ) -> LimbAxis:
     """The axis nearest to the middles of all views' slices (px), from a first guess; see `fit_axis`."""
+    tip, direction, span_m = as_float(tip), as_float(direction), as_float(span_m)
     rays = jax.vmap(Camera.ray)(rig.cameras, pixels)
     middle = tip - span_m.mean() * direction
 
