@@ -147,10 +147,8 @@ def measure(session: SimulatedSession, gesture: Gesture) -> list[Row]:
     }
     assert set(estimates) == set(LINES)
     truths = elevation_deg(gesture.target_m - tip), elevation_deg(wrist - elbow)
-    return [
-        Row(LAWS[gesture.law], name, *(elevation_deg(line) - truth for truth in truths))
-        for name, line in estimates.items()
-    ]
+    errors = {name: [elevation_deg(line) - truth for truth in truths] for name, line in estimates.items()}
+    return [Row(LAWS[gesture.law], name, *own, truths[1]) for name, own in errors.items()]
 
 
 def look(session: SimulatedSession, gesture: Gesture, moment: int, camera: int) -> View | None:
