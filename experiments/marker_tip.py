@@ -104,8 +104,8 @@ def taught(frames: Sequence[SimulatedFrame], gesture: Gesture, person: PersonSet
         pixels = shown[camera][:, ::-1]
         distance = np.hypot(*(pixels - truth.tip).T)
         for part in (0.2, 0.4) if len(pixels) >= SHOWN_PX else ():
-            click = np.round(pixels[distance <= np.quantile(distance, part)].mean(axis=0))
-            picked.append(disc(frames[camera].image, *click.tolist(), person.marker.sample_radius_px))
+            x, y = np.round(pixels[distance <= np.quantile(distance, part)].mean(axis=0))
+            picked.append(disc(frames[camera].image, float(x), float(y), person.marker.sample_radius_px))
     try:
         return train_marker(np.concatenate(picked), person.marker)
     except InsufficientDataError:

@@ -55,6 +55,7 @@ ARM = {
     "right": (Part.RIGHT_FOREARM, Part.RIGHT_HAND, Part.RIGHT_FINGER),
 }
 LAWS = {"accurate": "accurate", "approximate": "forearm"}
+BANDS = (("below -15", -90.0, -15.0), ("-15 to 0", -15.0, 0.0), ("0 to 15", 0.0, 15.0), ("above 15", 15.0, 90.1))
 SUSPECTED_DEG = float(np.degrees(np.arctan2(1.5, 17.0)))
 THESIS_DEG = (4.885, 0.867)
 LINES = {
@@ -104,6 +105,7 @@ class Row:
     line: str
     to_target: float
     to_axis: float
+    elevation: float  # of the true elbow-wrist axis
 
 
 def perfect(people: int, gestures: int) -> SimulationSettings:
@@ -132,8 +134,8 @@ def measure(session: SimulatedSession, gesture: Gesture) -> list[Row]:
     views = [view for camera in range(len(session.rig)) if (view := look(session, gesture, moment, camera)) is not None]
     if len(views) < 2:
         return []
-    actor = next(a for a in session.play.actors if a.person.number == gesture.person)
-    joints = actor.joints(session.time_of(moment))
+    time_s = session.time_of(moment)
+    joints = next(a for a in session.present(time_s) if a.person.number == gesture.person).joints(time_s)
     tip, elbow, wrist = (joints[f"{gesture.hand}_{name}"] for name in ("tip", "elbow", "wrist"))
     two = sorted(views, key=lambda view: -view.rank)[:2]
     estimates = {
@@ -145,23 +147,25 @@ def measure(session: SimulatedSession, gesture: Gesture) -> list[Row]:
     }
     assert set(estimates) == set(LINES)
     truths = elevation_deg(gesture.target_m - tip), elevation_deg(wrist - elbow)
-    return [
-        Row(LAWS[gesture.law], name, *(elevation_deg(line) - truth for truth in truths))
-        for name, line in estimates.items()
-    ]
+    errors = {name: [elevation_deg(line) - truth for truth in truths] for name, line in estimates.items()}
+    return [Row(LAWS[gesture.law], name, *own, truths[1]) for name, own in errors.items()]
 
 
 def look(session: SimulatedSession, gesture: Gesture, moment: int, camera: int) -> View | None:
     """The true region of forearm and hand in one view; None where the thesis would not have taken it."""
-    shape = ThesisSettings().forearm
-    labels = session.frame(moment, camera).labels
-    owner, part = np.divmod(labels, PARTS_A_PERSON)
+    owner, part = np.divmod(session.frame(moment, camera).labels, PARTS_A_PERSON)
     person = (owner == gesture.person) & (part > 0)
-    numbered, regions = label_regions(person & np.isin(part, ARM[gesture.hand]), min_area=shape.min_area_px + 1)
+    return viewed(camera, person & np.isin(part, ARM[gesture.hand]), person)
+
+
+def viewed(camera: int, arm: np.ndarray, person: np.ndarray) -> View | None:
+    """What is made of the masks of forearm and hand, and of the whole person."""
+    shape = ThesisSettings().forearm
+    labels, regions = label_regions(arm, min_area=shape.min_area_px + 1)
     if not regions or regions[0].eccentricity <= shape.min_eccentricity:
         return None
     region = regions[0]
-    crop, corner = region.crop(numbered), np.array(region.box[:2])
+    crop, corner = region.crop(labels), np.array(region.box[:2])
     axis = axis_line(crop)
     if axis is None:
         return None
@@ -200,8 +204,8 @@ def common_direction(rig: CameraRig, views: Sequence[View], ahead: np.ndarray) -
 
 def sight(rig: CameraRig, camera: int, pixel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Centre of a camera (m) and unit direction through a pixel."""
-    ray = jax.tree.map(lambda leaf: leaf[camera], rig.cameras).ray(pixel)
-    return np.asarray(ray.origin), np.asarray(ray.direction)
+    rays = rig.rays(np.tile(pixel, (len(rig), 1)))
+    return np.asarray(rays.origin)[camera], np.asarray(rays.direction)[camera]
 
 
 def elevation_deg(direction: np.ndarray) -> float:
@@ -224,6 +228,11 @@ def markdown(rows: Sequence[Row]) -> str:
         cells = [_cells([getattr(row, name) for row in own]) for name in ("to_target", "to_axis")]
         note = f" ({LINES[line]})" if LINES[line] else ""
         lines.append(f"| {law} | {line}{note} | {len(own)} | {cells[0]} | {cells[1]} |")
+    lines += ["", "The thesis's line against the forearm's axis, law `forearm`, by how the forearm points:", ""]
+    lines += ["| elevation | gestures | mean (standard deviation) | median |", "|---|---|---|---|"]
+    for name, low, high in BANDS:
+        errors = [row.to_axis for row in grouped["forearm", "thesis"] if low <= row.elevation < high]
+        lines += [f"| {name} | {len(errors)} | {_cells(errors)} |"] if len(errors) > 1 else []
     lines += [
         "",
         f"Suspected: atan(1.5 / 17) = {SUSPECTED_DEG:.2f}. The thesis reports {THESIS_DEG[0]} (sd {THESIS_DEG[1]}).",

@@ -53,7 +53,7 @@ def test_the_cap_on_the_finger_is_found(drawn, scene, name, gates):
     assert found.regions[0].area > 0.5 * np.count_nonzero(cap)
 
 
-@pytest.mark.parametrize(("length", "most"), [(6.0, 0.5), (12.0, 0.25), (30.0, 0.25)])
+@pytest.mark.parametrize(("length", "most"), [(8.0, 0.4), (12.0, 0.25), (30.0, 0.25)])
 def test_ends_are_found_to_a_fraction_of_a_pixel(length, most):
     rng = np.random.default_rng(7)
     rows, columns = np.mgrid[:60, :60]

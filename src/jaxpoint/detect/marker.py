@@ -69,7 +69,7 @@ def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings)
             f"{settings.min_saturation:.0f}, so that their hue is noise; use a marker of a strong colour."
         )
     # A click beside the marker, or on its edge, must neither move the middle nor open the gates.
-    nearest = np.argmin([np.median(_hue_distance(hue, level)) for level in range(CIRCLE)])
+    nearest = np.argmin([np.median(_hue_distance(hue, float(level))) for level in range(CIRCLE)])
     kept = _hue_distance(hue, float(nearest)) <= 2 * settings.hue_gate
     hue, saturation, value = hue[kept], saturation[kept], value[kept]
     middle = np.array([_mean_hue(hue), np.median(saturation), np.median(value)])

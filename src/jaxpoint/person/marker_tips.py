@@ -23,7 +23,7 @@ from jaxpoint.person.markers import CameraMarkers
 from jaxpoint.pointing.axis import LimbAxis, fit_axis
 
 SIGMA_PX = 0.5  # error of a marker's end across its axis: of a few pixels' mean
-MOST_SIGMA = np.deg2rad(15.0)  # of a direction that is worth giving
+MOST_SIGMA = np.deg2rad(20.0)  # of a direction that is worth giving
 BATCH = 64  # moments whose axes are fitted at once, so that one program does for all
 TIP, BASE, CENTROID, PERSON = range(4)
 
@@ -93,7 +93,9 @@ def marker_tips(rig: CameraRig, markers: Sequence[CameraMarkers], settings: Mark
                 tips[-1] = _without_axis(sights, dict(members))
             else:
                 open_axes.append((moment, sights, *_rough(sights, direction)))
-    for (moment, sights, _, _), axis in zip(open_axes, _fitted(rig, [one[1:] for one in open_axes])):
+    for (moment, sights, _, _), axis in zip(
+        open_axes, _fitted(rig, [one[1:] for one in open_axes], settings.max_length_m)
+    ):
         members = tips[moment].members
         tip = _on_axis(sights, axis, members)
         tips[moment] = tip if tip.direction_sigma <= MOST_SIGMA else _without_axis(sights, members)
@@ -171,7 +173,9 @@ def _ends(
     return np.where(flipped[:, None], sights.rays[:, BASE], sights.rays[:, TIP]), flipped
 
 
-def _fitted(rig: CameraRig, starts: Sequence[tuple[_Sights, np.ndarray, np.ndarray]]) -> list[LimbAxis]:
+def _fitted(
+    rig: CameraRig, starts: Sequence[tuple[_Sights, np.ndarray, np.ndarray]], longest_m: float
+) -> list[LimbAxis]:
     """The axes of all moments, in batches of one size."""
     axes: list[LimbAxis] = []
     for first in range(0, len(starts), BATCH):
@@ -183,16 +187,15 @@ def _fitted(rig: CameraRig, starts: Sequence[tuple[_Sights, np.ndarray, np.ndarr
         for k, (sights, start, ahead) in enumerate(part):
             rays[k, sights.cameras], seen[k, sights.cameras] = sights.rays[:, (TIP, BASE)], True
             tip[k], direction[k] = start, ahead
-        fitted = jax.tree.map(np.asarray, _fit(rig, rays, seen, tip, direction))
+        fitted = jax.tree.map(np.asarray, _fit(rig, rays, seen, tip, direction, np.array([0.0, longest_m])))
         axes += [jax.tree.map(lambda leaf, k=k: leaf[k], fitted) for k in range(len(part))]
     return axes
 
 
 @jit
-def _fit(rig: CameraRig, rays: Array, seen: Array, tip: Array, direction: Array) -> LimbAxis:
+def _fit(rig: CameraRig, rays: Array, seen: Array, tip: Array, direction: Array, span: Array) -> LimbAxis:
     origins, focal = rig.positions, rig.cameras.focal.mean(axis=1)
     sigma = 0.0 * focal + SIGMA_PX
-    span = np.array([0.0, 0.05])
     return jax.vmap(lambda r, s, t, d: fit_axis(origins, focal, r, s, t, d, sigma, span))(rays, seen, tip, direction)
 
 

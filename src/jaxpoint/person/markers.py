@@ -184,12 +184,9 @@ def look_for_marker(
             found += [(moment, *place) for place in places]
         if advance:
             advance(moment + 1, moments)
-    kinds = ((int, ()), (int, ()), *([(float, (2,))] * 4))
-    columns = [
-        np.array([one[i] for one in found], dtype=kind).reshape(len(found), *shape)
-        for i, (kind, shape) in enumerate(kinds)
-    ]
-    return CameraMarkers(reasons, why, *columns)
+    moment, area = (np.array([one[i] for one in found], dtype=int) for i in (0, 1))
+    centroid, tip, base, person = (np.array([one[i] for one in found], float).reshape(-1, 2) for i in (2, 3, 4, 5))
+    return CameraMarkers(reasons, why, moment, area, centroid, tip, base, person)
 
 
 def _places(image: Image, look: Look, model: MarkerModel, settings: MarkerSettings) -> tuple[list[tuple], MarkerReason]:
@@ -243,6 +240,7 @@ def load_markers(path: Path) -> CameraMarkers:
         with np.load(path, allow_pickle=False) as kept:
             if int(kept["format"]) != FORMAT:
                 raise FileFormatError(f"'{path}' was kept by another version of jaxpoint; delete it.")
-            return CameraMarkers(*(kept[name] for name in _ARRAYS), tuple(kept["notes"].tolist()))
+            arrays = {name: kept[name] for name in _ARRAYS}
+            return CameraMarkers(**arrays, notes=tuple(kept["notes"].tolist()))
     except (OSError, ValueError, KeyError) as error:
         raise FileFormatError(f"'{path}' cannot be read as kept markers ({error}); delete it.") from None
