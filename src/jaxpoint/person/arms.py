@@ -196,13 +196,15 @@ def _measured(
             break
     best = max(tries, key=lambda one: one.agreed)
     tip, _, _ = _common_tip(scene, best.strips, best.axis, own) or (arm.tip, arm.spread, {})
-    # The span counts from the tip, which is known better now.
-    best = _settle(scene, tip, np.asarray(best.axis.direction), span, 2)
+    # The span counts from the tip, which is known better now; where the wrist is bent, it lies beside the axis.
+    ahead, near = np.asarray(best.axis.direction), np.asarray(best.axis.near)
+    foot = near + ((tip - near) @ ahead) * ahead
+    best = _settle(scene, foot, ahead, span, 2)
     views = _views(scene, best)
     kept = [view.strip if view.reason == ArmReason.FOUND else None for view in views]
     if sum(strip is not None for strip in kept) < 2:
         return None
-    axis = _fit(scene, kept, tip, np.asarray(best.axis.direction), span)
+    axis = _fit(scene, kept, foot, np.asarray(best.axis.direction), span)
     tip, spread, seen = _common_tip(scene, kept, axis, own) or (arm.tip, arm.spread, {})
     projected = np.asarray(scene.rig.project(tip))
     for camera, view in enumerate(views):
