@@ -191,7 +191,7 @@ def _measured(
     """
     tries: list[_Measured] = []
     for start in _starts(arm):
-        tries.append(_settle(scene, arm.tip, start, span, ROUNDS))
+        tries.append(_settle(scene, arm.foot, start, span, ROUNDS))
         if tries[-1].settled:
             break
     best = max(tries, key=lambda one: one.agreed)

@@ -17,6 +17,7 @@ TIP_GAP_M = 0.07  # between the tips of two views
 PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
 AXIS_TO_TIP_M = 0.12  # a bent wrist carries the tip this far from the forearm's axis
+_PULL = 1e-4  # of the tip on the axis, where the planes do not hold it
 AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
 ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
 SHOULDER_BELOW_M = 0.28  # under the centre of the head
@@ -51,6 +52,7 @@ class Arm:
     direction: Float[np.ndarray, "3"]  # unit, towards the tip
     support: float  # summed weight of the views
     spread: float  # m, rms distance of the tips' rays from the tip
+    foot: Float[np.ndarray, "3"]  # m, of the tip on the axis, beside which a bent wrist carries it
     alternatives: tuple[Float[np.ndarray, "3"], ...] = ()  # directions of two members each, widest planes first
 
     @property
@@ -302,7 +304,16 @@ def _arm(limbs, normal, members, direction, fit) -> Arm:
         trusted = weight / (1 + (normal[index] @ axis / np.sin(AXIS_SCALE)) ** 2)
         _, vectors = np.linalg.eigh(np.einsum("n,ni,nj->ij", trusted, normal[index], normal[index]))
         axis = vectors[:, 0] if vectors[:, 0] @ direction > 0 else -vectors[:, 0]
-    return Arm(members, tip, axis, float(weight.sum()), spread, _of_pairs(normal[index], direction))
+    foot = _foot(normal[index], limbs.origin[index], trusted, tip, axis)
+    return Arm(members, tip, axis, float(weight.sum()), spread, foot, _of_pairs(normal[index], direction))
+
+
+def _foot(normal, origin, weight, tip, axis) -> Float[np.ndarray, "3"]:
+    """The point of the axis, where the planes meet, that is beside the tip."""
+    matrix = np.einsum("n,ni,nj->ij", weight, normal, normal) + _PULL * weight.sum() * np.eye(3)
+    right = np.einsum("n,ni->i", weight * (normal * origin).sum(axis=1), normal) + _PULL * weight.sum() * tip
+    point = np.linalg.solve(matrix, right)
+    return point + ((tip - point) @ axis) * axis
 
 
 def _of_pairs(normal: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "3"]) -> tuple[np.ndarray, ...]:
