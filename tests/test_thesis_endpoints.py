@@ -1,11 +1,14 @@
 """The experiment on the thesis's ends of a forearm, on drawn arms that no simulator made."""
 
+from dataclasses import replace
+
 import capsules
 import numpy as np
 import pytest
 
 import thesis_endpoints as rule
 from jaxpoint.camera.rig import CameraRig
+from jaxpoint.simulate.session import simulate_session
 
 ARM = 9
 
@@ -53,6 +56,22 @@ def test_joined_ends_rise_above_a_straight_arm_and_planes_do_not(elevation):
     ]
     assert errors[0] > 1.0
     assert np.abs(errors[1:]).max() < 1.0
+
+
+def test_one_simulated_gesture_of_perfect_people():
+    settings = rule.perfect(people=1, gestures=2)
+    settings = replace(
+        settings,
+        viewpoints=replace(settings.viewpoints, cameras=4, size=(640, 360)),
+        people=replace(settings.people, pointing=replace(settings.people.pointing, accurate_share=0.0)),
+    )
+    session = simulate_session(settings, 3)
+    rows = {row.line: row for row in rule.measure(session, session.gestures[1])}
+    assert set(rows) == set(rule.LINES)
+    truth = rows["true elbow-wrist axis"]
+    assert truth.to_axis == 0.0
+    assert abs(truth.to_target) < 0.2  # this law carries the forearm's own axis to the target
+    assert abs(rows["axis planes, all views"].to_axis) < 5.0
 
 
 def test_rays_of_a_projected_point_meet_in_it():
