@@ -222,7 +222,7 @@ def markdown(rows: Sequence[Row]) -> str:
     for row in rows:
         grouped[row.law, row.line].append(row)
     lines = [
-        "Elevation error in degrees, estimated minus true: mean (standard deviation), and median.",
+        "Elevation error in degrees, estimated minus true: mean (standard deviation) and median (robust deviation).",
         "",
         "| law | line | gestures | against the target | median | against the forearm's axis | median |",
         "|---|---|---|---|---|---|---|",
@@ -232,7 +232,7 @@ def markdown(rows: Sequence[Row]) -> str:
         note = f" ({LINES[line]})" if LINES[line] else ""
         lines.append(f"| {law} | {line}{note} | {len(own)} | {cells[0]} | {cells[1]} |")
     lines += ["", "The thesis's line against the forearm's axis, law `forearm`, by how the forearm points:", ""]
-    lines += ["| elevation | gestures | mean (standard deviation) | median |", "|---|---|---|---|"]
+    lines += ["| elevation | gestures | mean | median |", "|---|---|---|---|"]
     for name, low, high in BANDS:
         errors = [row.to_axis for row in grouped["forearm", "thesis"] if low <= row.elevation < high]
         lines += [f"| {name} | {len(errors)} | {_cells(errors)} |"] if len(errors) > 1 else []
@@ -244,7 +244,9 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _cells(errors: Sequence[float]) -> str:
-    return f"{np.mean(errors):+.2f} ({np.std(errors, ddof=1):.2f}) | {np.median(errors):+.2f}"
+    middle = np.median(errors)
+    robust = 1.4826 * np.median(np.abs(errors - middle))
+    return f"{np.mean(errors):+.2f} ({np.std(errors, ddof=1):.2f}) | {middle:+.2f} ({robust:.2f})"
 
 
 def main(options: ThesisEndpoints) -> None:

@@ -83,6 +83,6 @@ def test_rays_of_a_projected_point_meet_in_it():
 def test_the_table_shows_mean_and_spread_by_law():
     rows = [rule.Row("forearm", "thesis", error, error + 1, 20.0) for error in (4.0, 6.0)]
     text = rule.markdown(rows)
-    assert "| 2 | +5.00 (1.41) | +5.00 | +6.00 (1.41) | +6.00 |" in text
-    assert "| above 15 | 2 | +6.00 (1.41) | +6.00 |" in text
+    assert "| 2 | +5.00 (1.41) | +5.00 (1.48) | +6.00 (1.41) | +6.00 (1.48) |" in text
+    assert "| above 15 | 2 | +6.00 (1.41) | +6.00 (1.48) |" in text
     assert "atan(1.5 / 17) = 5.04" in text
