@@ -151,8 +151,8 @@ def measure(session: SimulatedSession, gesture: Gesture, any_shape: bool = False
     }
     assert set(estimates) == set(LINES)
     truths = elevation_deg(gesture.target_m - tip), elevation_deg(wrist - elbow)
-    errors = {name: [elevation_deg(line) - truth for truth in truths] for name, line in estimates.items()}
-    return [Row(LAWS[gesture.law], name, *own, truths[1]) for name, own in errors.items()]
+    found = {name: elevation_deg(line) for name, line in estimates.items()}
+    return [Row(LAWS[gesture.law], name, own - truths[0], own - truths[1], truths[1]) for name, own in found.items()]
 
 
 def look(session: SimulatedSession, gesture: Gesture, moment: int, camera: int) -> View | None:
@@ -245,7 +245,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 def _cells(errors: Sequence[float]) -> str:
     middle = np.median(errors)
-    robust = 1.4826 * np.median(np.abs(errors - middle))
+    robust = 1.4826 * np.median(np.abs(np.array(errors) - middle))
     return f"{np.mean(errors):+.2f} ({np.std(errors, ddof=1):.2f}) | {middle:+.2f} ({robust:.2f})"
 
 
