@@ -14,8 +14,8 @@ two views those of the highest eccentricity and most pixels (7.3). One frame a g
 Elevation error is estimated minus true, positive too high: against the line from the true fingertip to the target, as
 the thesis has it, and against the true elbow-wrist axis, where the rule alone is left. Beside the thesis's rule stand
 the same with its step 5 (the base moved up to the outline too) and the planes of the region's axis lines, which join no
-points: in the same two views, and in all. Views in which the region is rounder than the thesis allows (7.3) are left
-out for all alike.
+points: in the same two views, and in all. Views whose region the thesis's filters of shape reject (6.3.1: too round, or
+too steep for ends at the left and right to mean anything) are left out for all alike; `--any-shape` takes them.
 
     python experiments/thesis_endpoints.py --seeds 0 5 --out thesis_endpoints.md
 """
@@ -46,6 +46,7 @@ from jaxpoint.config.person import ThesisSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.detect.endpoints import AxisLine, Endpoints, axis_line, forearm_endpoints
 from jaxpoint.detect.region import Region, label_regions, region_of
+from jaxpoint.detect.thesis import of_shape
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedSession, simulate_session
@@ -77,6 +78,8 @@ class ThesisEndpoints:
     """People a session."""
     gestures: int = 32
     """Gestures a session, of all people together."""
+    any_shape: bool = False
+    """Take views whose region the thesis's filters of shape reject, too."""
     out: Path = Path("thesis_endpoints.md")
     """The table, as Markdown."""
 
@@ -128,10 +131,11 @@ def perfect(people: int, gestures: int) -> SimulationSettings:
     return replace(SimulationSettings(), people=behaviour)
 
 
-def measure(session: SimulatedSession, gesture: Gesture) -> list[Row]:
+def measure(session: SimulatedSession, gesture: Gesture, any_shape: bool = False) -> list[Row]:
     """All lines of one gesture, in the middle of its hold; none where fewer than two views see the region."""
     moment = session.frame_at((gesture.hold_first_s + gesture.hold_last_s) / 2)
     views = [view for camera in range(len(session.rig)) if (view := look(session, gesture, moment, camera)) is not None]
+    views = [view for view in views if any_shape or of_shape([view.region], ThesisSettings().forearm)[0]]
     if len(views) < 2:
         return []
     time_s = session.time_of(moment)
@@ -147,12 +151,12 @@ def measure(session: SimulatedSession, gesture: Gesture) -> list[Row]:
     }
     assert set(estimates) == set(LINES)
     truths = elevation_deg(gesture.target_m - tip), elevation_deg(wrist - elbow)
-    errors = {name: [elevation_deg(line) - truth for truth in truths] for name, line in estimates.items()}
-    return [Row(LAWS[gesture.law], name, *own, truths[1]) for name, own in errors.items()]
+    found = {name: elevation_deg(line) for name, line in estimates.items()}
+    return [Row(LAWS[gesture.law], name, own - truths[0], own - truths[1], truths[1]) for name, own in found.items()]
 
 
 def look(session: SimulatedSession, gesture: Gesture, moment: int, camera: int) -> View | None:
-    """The true region of forearm and hand in one view; None where the thesis would not have taken it."""
+    """The true region of forearm and hand in one view; None where it is too small."""
     owner, part = np.divmod(session.frame(moment, camera).labels, PARTS_A_PERSON)
     person = (owner == gesture.person) & (part > 0)
     return viewed(camera, person & np.isin(part, ARM[gesture.hand]), person)
@@ -160,9 +164,8 @@ def look(session: SimulatedSession, gesture: Gesture, moment: int, camera: int) 
 
 def viewed(camera: int, arm: np.ndarray, person: np.ndarray) -> View | None:
     """What is made of the masks of forearm and hand, and of the whole person."""
-    shape = ThesisSettings().forearm
-    labels, regions = label_regions(arm, min_area=shape.min_area_px + 1)
-    if not regions or regions[0].eccentricity <= shape.min_eccentricity:
+    labels, regions = label_regions(arm, min_area=ThesisSettings().forearm.min_area_px + 1)
+    if not regions:
         return None
     region = regions[0]
     crop, corner = region.crop(labels), np.array(region.box[:2])
@@ -219,7 +222,7 @@ def markdown(rows: Sequence[Row]) -> str:
     for row in rows:
         grouped[row.law, row.line].append(row)
     lines = [
-        "Elevation error in degrees, estimated minus true: mean (standard deviation), and median.",
+        "Elevation error in degrees, estimated minus true: mean (standard deviation) and median (robust deviation).",
         "",
         "| law | line | gestures | against the target | median | against the forearm's axis | median |",
         "|---|---|---|---|---|---|---|",
@@ -229,7 +232,7 @@ def markdown(rows: Sequence[Row]) -> str:
         note = f" ({LINES[line]})" if LINES[line] else ""
         lines.append(f"| {law} | {line}{note} | {len(own)} | {cells[0]} | {cells[1]} |")
     lines += ["", "The thesis's line against the forearm's axis, law `forearm`, by how the forearm points:", ""]
-    lines += ["| elevation | gestures | mean (standard deviation) | median |", "|---|---|---|---|"]
+    lines += ["| elevation | gestures | mean | median |", "|---|---|---|---|"]
     for name, low, high in BANDS:
         errors = [row.to_axis for row in grouped["forearm", "thesis"] if low <= row.elevation < high]
         lines += [f"| {name} | {len(errors)} | {_cells(errors)} |"] if len(errors) > 1 else []
@@ -241,7 +244,9 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def _cells(errors: Sequence[float]) -> str:
-    return f"{np.mean(errors):+.2f} ({np.std(errors, ddof=1):.2f}) | {np.median(errors):+.2f}"
+    middle = np.median(errors)
+    robust = 1.4826 * np.median(np.abs(np.array(errors) - middle))
+    return f"{np.mean(errors):+.2f} ({np.std(errors, ddof=1):.2f}) | {middle:+.2f} ({robust:.2f})"
 
 
 def main(options: ThesisEndpoints) -> None:
@@ -251,7 +256,7 @@ def main(options: ThesisEndpoints) -> None:
         for seed in track(range(*options.seeds), description="sessions"):
             session = simulate_session(perfect(options.people, options.gestures), seed)
             for gesture in session.gestures:
-                rows += measure(session, gesture)
+                rows += measure(session, gesture, options.any_shape)
             options.out.write_text(markdown(rows), encoding="utf-8")
     print(markdown(rows))
 

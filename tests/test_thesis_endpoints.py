@@ -1,11 +1,14 @@
 """The experiment on the thesis's ends of a forearm, on drawn arms that no simulator made."""
 
+from dataclasses import replace
+
 import capsules
 import numpy as np
 import pytest
 
 import thesis_endpoints as rule
 from jaxpoint.camera.rig import CameraRig
+from jaxpoint.simulate.session import simulate_session
 
 ARM = 9
 
@@ -55,6 +58,22 @@ def test_joined_ends_rise_above_a_straight_arm_and_planes_do_not(elevation):
     assert np.abs(errors[1:]).max() < 1.0
 
 
+def test_one_simulated_gesture_of_perfect_people():
+    settings = rule.perfect(people=1, gestures=2)
+    settings = replace(
+        settings,
+        viewpoints=replace(settings.viewpoints, cameras=4, size=(640, 360)),
+        people=replace(settings.people, pointing=replace(settings.people.pointing, accurate_share=0.0)),
+    )
+    session = simulate_session(settings, 3)
+    rows = {row.line: row for row in rule.measure(session, session.gestures[1], any_shape=True)}
+    assert set(rows) == set(rule.LINES)
+    truth = rows["true elbow-wrist axis"]
+    assert truth.to_axis == 0.0
+    assert abs(truth.to_target) < 0.2  # this law carries the forearm's own axis to the target
+    assert abs(rows["axis planes, all views"].to_axis) < 5.0
+
+
 def test_rays_of_a_projected_point_meet_in_it():
     rig, point = rig_beside(), np.array([0.5, -0.1, 1.3])
     pixels = np.asarray(rig.project(point))
@@ -64,6 +83,6 @@ def test_rays_of_a_projected_point_meet_in_it():
 def test_the_table_shows_mean_and_spread_by_law():
     rows = [rule.Row("forearm", "thesis", error, error + 1, 20.0) for error in (4.0, 6.0)]
     text = rule.markdown(rows)
-    assert "| 2 | +5.00 (1.41) | +5.00 | +6.00 (1.41) | +6.00 |" in text
-    assert "| above 15 | 2 | +6.00 (1.41) | +6.00 |" in text
+    assert "| 2 | +5.00 (1.41) | +5.00 (1.48) | +6.00 (1.41) | +6.00 (1.48) |" in text
+    assert "| above 15 | 2 | +6.00 (1.41) | +6.00 (1.48) |" in text
     assert "atan(1.5 / 17) = 5.04" in text

@@ -134,7 +134,7 @@ class MarkerSettings:
 
     gates: Literal["sigma", "fixed"] = "sigma"
     """`sigma`: `deviations` of the picked pixels, within half and twice the fixed gates; `fixed`: those three."""
-    deviations: Positive = 3.0
+    deviations: Positive = 4.0
     """Half width of a gate in standard deviations of the picked pixels."""
     hue_gate: Positive = 10.0
     """Half width in hue, in OpenCV's units of 2 degrees."""

@@ -67,7 +67,7 @@ def _pointing(
     if not mask.any():
         return _missing(ThesisReason.NO_COLOUR)
     labels, regions = label_regions(mask, min_area=shape.min_area_px + 1)
-    regions, reason = _of_shape(regions, shape)
+    regions, reason = of_shape(regions, shape)
     if not regions:
         return _missing(reason)
     origin = np.array(silhouette.box[:2])
@@ -79,7 +79,7 @@ def _pointing(
     return ThesisRegion(crop, region, Endpoints(ends.tip + corner, ends.base + corner), ThesisReason.FOUND)
 
 
-def _of_shape(regions: list[Region], shape: ShapeSettings) -> tuple[list[Region], ThesisReason]:
+def of_shape(regions: list[Region], shape: ShapeSettings) -> tuple[list[Region], ThesisReason]:
     """The regions, all large enough, that pass the filters, or the first filter that leaves none."""
     steepest = np.radians(shape.max_orientation_deg)
     filters: tuple[tuple[ThesisReason, Callable[[Region], bool]], ...] = (
