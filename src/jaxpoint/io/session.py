@@ -187,6 +187,8 @@ def _matched(sources: list[FrameSource], names: tuple[str, ...]):
             f"The videos have unlike lengths: '{names[short]}' has {counts[short]} frames, others up to {max(counts)}; "
             "frames belong together by number, so check that all started at once."
         )
+    if not known:
+        notes.append("No video tells its frame rate, so moments count as 1 s apart; give the times in timestamps.csv.")
     period = known[0] if known else 1.0
     return ids, (ids - ids[0]) * period, index, notes
 

@@ -171,7 +171,7 @@ def _rays_of(scene: _Scene, limbs: Sequence[Limb], cameras: Sequence[int]) -> Li
         origin=scene.positions[place[:count]],
         tip=directions[:, 0],
         slices=directions[:, 1:],
-        held=np.array([limb.width > 0 for limb in limbs]).reshape(count, SLICES),
+        held=np.array([limb.width > 0 for limb in limbs], dtype=bool).reshape(count, SLICES),
         weight=np.array([1.0 if limb.from_skin else _OUTLINE_WEIGHT for limb in limbs]),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
@@ -237,10 +238,10 @@ def load_markers(path: Path) -> CameraMarkers:
         FileFormatError: it is no such file, or of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             if int(kept["format"]) != FORMAT:
                 raise FileFormatError(f"'{path}' was kept by another version of jaxpoint; delete it.")
             arrays = {name: kept[name] for name in _ARRAYS}
             return CameraMarkers(**arrays, notes=tuple(kept["notes"].tolist()))
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
         raise FileFormatError(f"'{path}' cannot be read as kept markers ({error}); delete it.") from None

@@ -45,7 +45,7 @@ def promise(
     """
     tip, direction, span_m = as_float(tip), as_float(direction), as_float(span_m)
     reach = jnp.linspace(span_m[0] - _BEYOND_M, span_m[1] + _BEYOND_M, SLICES)
-    places = tip - reach[:, None] * direction[None]
+    places = tip[None] - reach[:, None] * direction[None]
     middle = places.mean(axis=0)
 
     def one(camera: Camera) -> tuple[Array, ...]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from jaxpoint.detect.person import FrameReason, Look, PersonWatch, Sighting
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import replacing
 
-FORMAT = 1  # of the kept files; higher whenever a detector gives other results
+FORMAT = 2  # of the kept files; higher whenever a detector gives other results
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,7 @@ def load_views(path: Path) -> CameraViews:
         FileFormatError: it is no such file, or of another version.
     """
     try:
-        with np.load(path, allow_pickle=False) as kept:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             if int(kept["format"]) != FORMAT:
                 raise FileFormatError(f"'{path}' was kept by another version of jaxpoint; delete it.")
             blob, ends = kept["blob"].tobytes(), kept["ends"].tolist()
@@ -154,7 +155,7 @@ def load_views(path: Path) -> CameraViews:
             arrays = {name: kept[name] for name in _ARRAYS}
             width, height = (int(n) for n in kept["size"])
             return CameraViews(size=(width, height), packed=packed, notes=tuple(kept["notes"].tolist()), **arrays)
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
         raise FileFormatError(f"'{path}' cannot be read as kept detections ({error}); delete it.") from None
 
 

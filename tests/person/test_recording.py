@@ -1,0 +1,163 @@
+"""A whole session of drawn people, from images to tables: right once, then wrong in several ways."""
+
+import csv
+import json
+import shutil
+
+import capsules
+import cv2
+import numpy as np
+import pytest
+
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.cli import main
+from jaxpoint.config.person import PersonSettings, SilhouetteSettings
+from jaxpoint.io.calibration import write_calibration_json
+from jaxpoint.io.session import open_session
+from jaxpoint.person import recording
+from jaxpoint.person.recording import watch_session
+
+SIZE = (640, 480)
+COLOURS = {1: (120, 60, 40), 2: (128, 158, 205)}  # blue, green, red: shirt and skin
+POINTING = np.array([0.85, -0.5, 0.15]) / np.linalg.norm([0.85, -0.5, 0.15])
+MOMENTS, EMPTY = 7, 20
+
+
+def rig_around(count=3) -> CameraRig:
+    """Cameras on a half circle about the person, all looking at the chest."""
+    angle = np.deg2rad(np.linspace(-70, 70, count) - 20)
+    positions = np.stack([2.6 * np.cos(angle), 2.6 * np.sin(angle), 1.6 + 0.3 * np.arange(count)], axis=1)
+    forward = np.array([0.3, 0.0, 1.2]) - positions
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return CameraRig.from_parameters(
+        np.full((count, 2), 520.0), np.tile([320.0, 240.0], (count, 1)), np.tile([-0.1, 0.01, 0, 0, 0], (count, 1)),
+        rotation, -np.einsum("cij,cj->ci", rotation, positions), np.tile(SIZE, (count, 1)),
+    )  # fmt: skip
+
+
+def written(path, image, rng):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    cv2.imwrite(str(path), np.clip(image + rng.normal(0, 2.0, image.shape), 0, 255).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory):
+    """Somebody who points and sways by a centimetre."""
+    folder, rng, rig = tmp_path_factory.mktemp("drawn"), np.random.default_rng(4), rig_around()
+    for camera in range(len(rig)):
+        room = rng.uniform(90, 190, (8, 10, 1)) + rng.uniform(-8, 8, 3)
+        room = cv2.resize(room, SIZE, interpolation=cv2.INTER_LINEAR)
+        for k in range(EMPTY):
+            written(folder / "empty" / f"cam_{camera}" / f"{k:03d}.png", room, rng)
+        for moment in range(MOMENTS):
+            image = room.copy()
+            person = capsules.capsule_person((0.01 * (moment % 2), 0.0), POINTING, POINTING)
+            own = capsules.draw(person, rig, camera).labels
+            for label, colour in COLOURS.items():
+                image[own == label] = colour
+            written(folder / "videos" / f"cam_{camera}" / f"{10 + moment}.png", image, rng)
+    write_calibration_json(folder / "calibration.json", rig)
+    lines = [
+        f"{10 + moment},cam_{camera},{moment},{0.08 * moment:.2f}" for moment in range(MOMENTS) for camera in range(3)
+    ]
+    (folder / "timestamps.csv").write_text("\n".join(["sync_index,cam_id,frame_index,frame_time", *lines]))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("kept")
+
+
+def rows(path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def run(session, out, cache, *more) -> int:
+    return main(["detect", "person", str(session), "--out", str(out), "--cache", str(cache), "--workers", "1", *more])
+
+
+def test_a_session_becomes_tables(session, cache, tmp_path):
+    assert run(session, tmp_path / "run", cache) == 0
+    seen = rows(tmp_path / "run" / "detections.csv")
+    assert len(seen) == 3 * MOMENTS
+    assert {row["reason"] for row in seen} == {"person"}
+    assert {row["frame"] for row in seen} == {str(10 + moment) for moment in range(MOMENTS)}
+    arms = rows(tmp_path / "run" / "arms.csv")
+    found = [row for row in arms if row["reason"] == "found"]
+    assert len(found) >= MOMENTS - 2
+    directions = np.array([[float(row[f"direction_{axis}"]) for axis in "xyz"] for row in found])
+    tips = np.array([[float(row[f"tip_{axis}_m"]) for axis in "xyz"] for row in found])
+    truth = capsules.capsule_person((0.005, 0.0), POINTING, POINTING).joints["tip"]
+    assert np.degrees(np.arccos(np.median(directions @ POINTING))) < 2.0
+    assert np.median(np.linalg.norm(tips - truth, axis=1)) < 0.02
+    told = [row for row in seen if row["arm_reason"] == "found"]
+    assert all(row["tip_x"] and row["base_x"] for row in told)
+    assert all(not row["tip_x"] for row in seen if row["arm_reason"] != "found")
+    metrics = json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert metrics["moments"] == MOMENTS
+
+
+def test_what_was_kept_is_the_same_and_another_setting_is_looked_at_anew(session, cache, monkeypatch):
+    opened = open_session(session)
+    first = watch_session(opened, PersonSettings(), cache=cache, workers=1)
+
+    def refuse(*_, **__):
+        raise AssertionError("the videos were looked at")
+
+    monkeypatch.setattr(recording, "watch", refuse)
+    again = watch_session(opened, PersonSettings(), cache=cache, workers=1)
+    for one, other in zip(first, again):
+        np.testing.assert_array_equal(one.head, other.head)
+        assert one.packed == other.packed
+    with pytest.raises(AssertionError, match="looked at"):
+        watch_session(opened, PersonSettings(silhouette=SilhouetteSettings(people=2)), cache=cache, workers=1)
+
+
+def test_a_kept_file_that_is_cut_off_is_made_anew(session, cache, tmp_path):
+    opened = open_session(session)
+    first = watch_session(opened, PersonSettings(), cache=cache, workers=1)
+    kept = recording.camera_job(opened, 0, PersonSettings(), tmp_path).kept
+    shutil.copytree(cache, tmp_path, dirs_exist_ok=True)
+    kept.write_bytes(kept.read_bytes()[: kept.stat().st_size // 2])
+    again = watch_session(opened, PersonSettings(), cache=tmp_path, workers=1)
+    assert first[0].packed == again[0].packed
+
+
+def test_without_a_calibration_every_view_stands_alone(session, cache, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    shutil.copytree(session, bare)
+    for name in ("calibration.json", "timestamps.csv"):
+        (bare / name).unlink()
+    for camera in ("cam_1", "cam_2"):
+        shutil.rmtree(bare / "videos" / camera)
+    assert run(bare, tmp_path / "run", cache) == 0
+    assert not (tmp_path / "run" / "arms.csv").exists()
+    assert "calibration" in capsys.readouterr().out
+    assert all(not row["person"] for row in rows(tmp_path / "run" / "detections.csv"))
+
+
+def test_nobody_is_an_error_and_the_table_says_why(session, cache, tmp_path, capsys):
+    bare = tmp_path / "nobody"
+    shutil.copytree(session, bare)
+    shutil.rmtree(bare / "videos")
+    shutil.copytree(bare / "empty" / "cam_0", bare / "videos" / "cam_0")
+    (bare / "timestamps.csv").unlink()
+    assert run(bare, tmp_path / "run", cache) == 4
+    assert "Nobody was found" in capsys.readouterr().err
+    assert {row["reason"] for row in rows(tmp_path / "run" / "detections.csv")} <= {"nobody", "idle"}
+
+
+def test_wrong_input_is_told_in_a_sentence_and_leaves_nothing(session, cache, tmp_path, capsys):
+    assert run(tmp_path / "missing", tmp_path / "run", cache) == 7
+    assert "check the path" in capsys.readouterr().err
+    other = tmp_path / "other"
+    shutil.copytree(session / "videos", other / "videos")
+    write_calibration_json(other / "calibration.json", rig_around(2))
+    assert run(other, tmp_path / "run", cache) == 2
+    assert "no camera 'cam_2'" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
