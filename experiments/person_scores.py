@@ -266,7 +266,7 @@ def _gesture_score(session, gesture, held, arms, following, moments, views, fewe
     direction = _apart(axes, true_axes) if axes else np.nan
     return GestureScore(
         session.seed, gesture.number, gesture.person, gesture.law, who.sleeve, who.clothes_like_skin, who.stature_m,
-        who.tone, int(np.median(usable)), len(held), len(axes), direction, *fewer,
+        who.tone, int(np.median(usable)), len(held), len(axes), direction, fewer[0], fewer[1],
         float(np.median(tips)) if tips else np.nan, tuple(heads), arm_ms,
     )  # fmt: skip
 
