@@ -1,5 +1,6 @@
 """Settings: strict TOML files, ranges, and the round trip."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -65,5 +66,12 @@ def test_settings_made_in_python_are_held_to_the_same_ranges():
         checked(CalibrateSettings(lens=LensSettings(principal_point_sigma=-1.0)))
 
 
-def test_the_config_of_a_room_shows_every_default():
-    assert load_config(CONFIGS / "room.toml") == RoomConfig()
+@pytest.mark.parametrize("name", ["room", "people"])
+def test_the_configs_show_the_defaults(name):
+    assert load_config(CONFIGS / f"{name}.toml") == RoomConfig()
+
+
+def test_the_config_of_people_shows_every_setting():
+    shown = tomllib.loads((CONFIGS / "people.toml").read_text(encoding="utf-8"))
+    defaults = tomllib.loads(to_toml(RoomConfig()))
+    assert shown == {"detect": {"person": defaults["detect"]["person"]}, "track": defaults["track"]}
