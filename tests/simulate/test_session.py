@@ -141,7 +141,7 @@ def test_the_written_truth_is_that_of_the_session(folder, session):
 def test_a_camera_that_repeats_itself_gives_the_same_image(session):
     clocks = session.clocks
     repeated = (clocks.source[1:] == clocks.source[:-1]) & clocks.present[1:] & clocks.present[:-1]
-    moment, camera = np.argwhere(repeated)[0]
+    moment, camera = np.argwhere(repeated)[0].tolist()
     np.testing.assert_array_equal(session.frame(moment, camera).image, session.frame(moment + 1, camera).image)
 
 
