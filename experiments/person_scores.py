@@ -200,7 +200,7 @@ def _view_score(session, gesture, frame, arm, room, person, spent) -> ViewScore:
     own = None if arm is None else arm.views[frame.camera]
     region = None
     if own is not None and own.reason == ArmReason.FOUND:
-        region = _polygon(own.strip, labels.shape)
+        region = _polygon(own.strip, own.tip, labels.shape)
     found = silhouettes(foreground(frame.image, room, person.background), person.silhouette)
     forearm = finger = None
     if found:
@@ -224,10 +224,11 @@ def _judged(region: np.ndarray | None, labels: np.ndarray, parts: np.ndarray) ->
     return "right" if 2 * inside.sum() >= region.sum() and held else "wrong"
 
 
-def _polygon(strip, shape) -> np.ndarray:
-    """The pixels between a strip's edges."""
+def _polygon(strip, tip, shape) -> np.ndarray:
+    """The pixels between a strip's edges, from its base on to the tip, where it narrows to a third."""
     held = strip.width > 0
     middle, width = strip.middle[held], strip.width[held]
+    middle, width = np.concatenate([[tip], middle]), np.concatenate([[width[0] / 3], width])
     along = middle[-1] - middle[0]
     along /= max(np.hypot(*along), 1e-9)
     side = np.array([-along[1], along[0]])
