@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS ?= auto
 # Annotated shapes are checked in tests; not in commands, whose defaults stand in for arguments yet to be given.
-CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person simulate
+CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person
 TYPED := $(shell echo $(CHECKED:%=jaxpoint.%) beartype.beartype | tr ' ' ',')
 
 .PHONY: demo test lint bench-quick
