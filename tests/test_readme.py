@@ -20,7 +20,9 @@ def blocks(language: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
 
 
-COMMANDS = sorted(set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|diff|demo) [^`#\n]*", README)))
+COMMANDS = sorted(
+    set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README))
+)
 
 
 @pytest.mark.parametrize("line", COMMANDS)

@@ -7,7 +7,7 @@ from enum import IntEnum
 
 import cv2
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.detect.arm import Crop, Pixel
@@ -23,7 +23,7 @@ from jaxpoint.detect.silhouette import (
     sharpened,
     silhouettes,
 )
-from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model
+from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model, white_balance, white_gains
 
 DARK = 16.0  # grey levels: brighter than this are fewer than 1 % of the pixels of an image without light
 BLOWN = 0.5  # part of the pixels that are saturated in an image with too much
@@ -86,6 +86,8 @@ class PersonWatch:
             model: of skin; by default the one that the settings name.
         """
         self._room = None if background is None else background.whole
+        balanced = settings.skin.white_balance
+        self._gains = white_gains(background.whole) if balanced and background is not None else None
         self._background = background if background is not None else AdaptiveBackground(settings.background)
         self._threshold = motion_threshold
         self._focal = focal_px
@@ -141,7 +143,7 @@ class PersonWatch:
         head = find_head(silhouette, self._focal, self._settings.head)
         gap = int(GAP * head.height_px) if head.found else 0
         model = None if grey else self._model
-        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, model, self._room, gap))
+        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, model, self._room, gap, self._gains))
 
 
 def cut_crop(
@@ -151,6 +153,7 @@ def cut_crop(
     model: SkinModel | None,
     room: Image | None = None,
     gap_px: int = 0,
+    gains: Float[np.ndarray, "3"] | None = None,
 ) -> Crop:
     """The surroundings of a silhouette: which pixels are foreground, and which of them skin.
 
@@ -161,6 +164,7 @@ def cut_crop(
         model: of skin; None where the image has no colour.
         room: the image without people, by which outlines are sharpened; None where it is not known.
         gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
+        gains: of blue, green, red, that divide out the room's cast of colour before skin is told; None leaves it.
     """
     x, y, width, height = silhouette.box
     reach = int(MARGIN * height)
@@ -177,7 +181,8 @@ def cut_crop(
     own, part = (one[y : y + height, x : x + width] for one in (own, part))
     labels = cv2.threshold(own, 0, int(Pixel.PERSON), cv2.THRESH_BINARY)[1]
     if model is not None:
-        skin = skin_mask(np.ascontiguousarray(part), model).view(np.uint8) * np.uint8(Pixel.SKIN)
+        colours = part if gains is None else white_balance(part, gains)
+        skin = skin_mask(np.ascontiguousarray(colours), model).view(np.uint8) * np.uint8(Pixel.SKIN)
         labels = np.where(own > 0, np.maximum(labels, skin), np.uint8(Pixel.NOTHING))
     return Crop(labels, (left + x, top + y), silhouette.image_size)
 
