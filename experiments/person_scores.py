@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 
 import cv2
@@ -16,15 +16,17 @@ import numpy as np
 
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.detect.marker import MarkerModel
 from jaxpoint.detect.motion import learn_threshold, motion_between
 from jaxpoint.detect.person import PersonWatch
 from jaxpoint.detect.silhouette import foreground, learn_background, silhouettes
-from jaxpoint.detect.thesis import thesis_forearm
+from jaxpoint.detect.thesis import thesis_finger, thesis_forearm
 from jaxpoint.person.arms import ArmReason, PointingArm, find_arm
 from jaxpoint.person.following import follow
 from jaxpoint.person.views import watch
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
+from marker_tip import taught
 
 LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 COVERED = 0.3  # of the visible forearm and hand that a right region must hold
@@ -48,7 +50,7 @@ class ViewScore:
     default: str
     default_reason: str
     thesis: str
-    thesis_finger: str
+    thesis_finger: str  # "no_cap" where the person wears none, or too little of it showed to teach its colour
     detect_ms: float
 
 
@@ -105,10 +107,11 @@ def score_session(
             following = follow(session.rig, seen, times, frame_ids=np.array(moments))
         arm_ms = 1e3 * (time.perf_counter() - started) / len(moments)
         arms = _arms_of(following, session, gesture, moments)
+        cap = _cap(session, gesture, [shown[moments[0], camera] for camera in cameras], person)
         for moment in held:
             for camera in cameras:
                 frame, arm = shown[moment, camera], arms.get(moment)
-                views.append(_view_score(session, gesture, frame, arm, rooms[camera][0], person, spent))
+                views.append(_view_score(session, gesture, frame, arm, rooms[camera][0], cap, person, spent))
         fewer = _with_fewer_views(session, gesture, held, moments, following, seen, shown)
         scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, fewer, arm_ms))
     return views, scores
@@ -193,7 +196,15 @@ def _joints(session, gesture, moment) -> dict[str, np.ndarray]:
     return actor.joints(time_s)
 
 
-def _view_score(session, gesture, frame, arm, room, person, spent) -> ViewScore:
+def _cap(session, gesture, frames, person: PersonSettings) -> MarkerModel | None:
+    """The colour of the cap, learnt before the hold from clicks as a user would make them, with the thesis's gates."""
+    who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
+    if who.cap is None:
+        return None
+    return taught(frames, gesture, replace(person, marker=replace(person.marker, gates="fixed")))
+
+
+def _view_score(session, gesture, frame, arm, room, cap, person, spent) -> ViewScore:
     truth = next(v for v in frame.views if v.person == gesture.person)
     parts = np.array(ARM[gesture.hand]) + PARTS_A_PERSON * gesture.person
     labels = frame.labels
@@ -204,24 +215,31 @@ def _view_score(session, gesture, frame, arm, room, person, spent) -> ViewScore:
     found = silhouettes(foreground(frame.image, room, person.background), person.silhouette)
     forearm = finger = None
     if found:
-        thesis = thesis_forearm(frame.image, found[0], person.thesis)
-        forearm = _mask_of(thesis, labels.shape)
+        forearm = _mask_of(thesis_forearm(frame.image, found[0], person.thesis), labels.shape)
+        if cap is not None:
+            finger = _mask_of(thesis_finger(frame.image, found[0], cap, person.thesis), labels.shape)
     return ViewScore(
         session.seed, gesture.number, frame.frame, frame.camera, truth.forearm_visible, truth.forearm_angle_deg,
         truth.finger_visible, _judged(region, labels, parts), "no_arm" if own is None else own.reason.name.lower(),
-        _judged(forearm, labels, parts), _judged(finger, labels, parts[2:]), float(spent[frame.camera]),
+        _judged(forearm, labels, parts), "no_cap" if cap is None else _judged_finger(finger, labels, parts[2:]),
+        float(spent[frame.camera]),
     )  # fmt: skip
 
 
 def _judged(region: np.ndarray | None, labels: np.ndarray, parts: np.ndarray) -> str:
-    """Right where most of the region is the arm, and it holds enough of the visible forearm (or finger) and hand."""
+    """Right where most of the region is the arm, and it holds enough of the visible forearm and hand."""
     if region is None or not region.any():
         return "none"
-    arm = np.isin(labels, parts)
-    forearm = np.isin(labels, parts[1:] if len(parts) > 2 else parts)
-    inside = region & arm
+    arm, forearm = np.isin(labels, parts), np.isin(labels, parts[1:])
     held = (region & forearm).sum() >= COVERED * max(1, forearm.sum())
-    return "right" if 2 * inside.sum() >= region.sum() and held else "wrong"
+    return "right" if 2 * (region & arm).sum() >= region.sum() and held else "wrong"
+
+
+def _judged_finger(region: np.ndarray | None, labels: np.ndarray, parts: np.ndarray) -> str:
+    """Right where most of the region is the hand that points."""
+    if region is None or not region.any():
+        return "none"
+    return "right" if 2 * (region & np.isin(labels, parts)).sum() >= region.sum() else "wrong"
 
 
 def _polygon(strip, tip, shape) -> np.ndarray:

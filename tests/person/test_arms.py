@@ -1,12 +1,15 @@
 """Arms out of drawn people: a person of capsules in rooms with other cameras each time; the joints are the truth."""
 
+from dataclasses import replace
+
+import equinox as eqx
 import numpy as np
 import pytest
 from tests.person.capsules import capsule_person, draw
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detect.arm import Crop, Pixel
-from jaxpoint.person.arms import ArmReason, find_arm
+from jaxpoint.person.arms import ArmReason, find_arm, find_arm_again
 
 PLACE = (3.0, 2.5)
 PEOPLE = 20
@@ -165,3 +168,46 @@ def test_the_same_people_without_colour_are_measured_by_their_outline(example):
     assert arm is not None
     assert not any(view.strip.skin for view in arm.views if view.strip is not None)
     assert degrees_between(arm.direction, forearm) < 3.0
+
+
+def merged_behind(crop: Crop, elbow: np.ndarray, wrist: np.ndarray, sides: tuple[float, ...]) -> Crop:
+    """The crop with skin painted all along these sides of the forearm's axis, as a bare shoulder behind it would be."""
+    labels = crop.labels.copy()
+    y, x = np.indices(labels.shape)
+    places = np.stack([x, y], axis=-1) + np.array(crop.corner) - wrist
+    along = (elbow - wrist) / np.linalg.norm(elbow - wrist)
+    behind, across = places @ along, places @ np.array([-along[1], along[0]])
+    beside = (behind > -10) & (behind < np.linalg.norm(elbow - wrist) + 10)
+    for side in sides:
+        labels[beside & (side * across > 0) & (side * across < 120)] = Pixel.SKIN
+    return Crop(labels, crop.corner, crop.image_size)
+
+
+@pytest.mark.parametrize(("sides", "says"), [((1.0,), True), ((-1.0,), True), ((1.0, -1.0), False)])
+def test_one_edge_is_enough_where_others_know_the_width(example, sides, says):
+    rig, crops, head, head_px, joints, forearm = example
+    arm = find_arm(rig, crops, head, head_px)
+    assert arm is not None
+    view = next(c for c in range(5) if arm.views[c].reason == ArmReason.FOUND)
+    ends = np.asarray(rig.project(np.stack([joints["elbow"], joints["wrist"]])))[:, view]
+    merged = [*crops]
+    merged[view] = merged_behind(crops[view], *ends, sides)
+    again = find_arm(rig, merged, head, head_px)
+    assert again is not None
+    assert (again.views[view].reason == ArmReason.FOUND) == says
+    assert degrees_between(again.direction, forearm) < 2.0
+
+
+def test_a_neighbouring_moment_promises_the_arm(example):
+    rig, crops, head, head_px, joints, forearm = example
+    arm = find_arm(rig, crops, head, head_px)
+    assert arm is not None
+    moved = np.array([0.03, -0.02, 0.01])
+    ends = (arm.axis.near - moved, arm.axis.far - moved)
+    axis = eqx.tree_at(lambda one: (one.near, one.far), arm.axis, ends)
+    before = replace(arm, tip=arm.tip - moved, axis=axis)
+    again = find_arm_again(rig, crops, head, before, moved)
+    assert again is not None
+    assert degrees_between(again.direction, forearm) < 1.0
+    assert np.linalg.norm(again.tip - joints["tip"]) < 0.02
+    assert find_arm_again(rig, [crops[0], *[None] * 4], head, before, moved) is None

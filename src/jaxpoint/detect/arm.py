@@ -95,16 +95,29 @@ class Strip:
     skin: bool  # edges of skin; else of the outline
 
 
-def cut_strip(
+@dataclass(frozen=True)
+class Edges:
+    """Both ends of the run across a promised axis at S places along it: first of the skin, then of the outline."""
+
+    axis: Float[np.ndarray, "S 2"]  # px, of the whole image
+    across: Float[np.ndarray, "2"]  # unit
+    low: Float[np.ndarray, "2 S"]  # px from the axis; both 0 where nothing lies across it
+    high: Float[np.ndarray, "2 S"]
+    half: float  # px, half the corridor's width
+    pixels_a_metre: float
+
+    def at(self, offsets: Float[np.ndarray, " S"]) -> Float[np.ndarray, "S 2"]:
+        """Pixels of the whole image at distances from the axis."""
+        return self.axis + offsets[:, None] * self.across
+
+
+def find_edges(
     crop: Crop,
     axis: Float[np.ndarray, "S 2"],
     across: Float[np.ndarray, "2"],
     pixels_a_metre: float,
-) -> Strip:
+) -> Edges:
     """The edges of a limb across a promised axis, to a fraction of a pixel.
-
-    Skin and outline are both tried; the one with more slices of a forearm's width counts, the skin where they are
-    equal. Where a run reaches the border of the corridor (a shirt of that colour behind), there is no edge.
 
     Args:
         crop: the person's pixels.
@@ -116,10 +129,45 @@ def cut_strip(
     offsets = np.linspace(-half, half, 2 * int(np.ceil(half)) + 1)
     places = axis[:, None] + offsets[None, :, None] * across - np.array(crop.corner)
     low, high = _edges(_sampled(crop.labels, places), offsets)
-    whole = (low > -half + 1) & (high < half - 1)
-    width = np.where(_tapers(high - low, whole, pixels_a_metre), high - low, 0.0)
+    return Edges(axis, across, low, high, half, pixels_a_metre)
+
+
+def cut_strip(edges: Edges) -> Strip:
+    """The limb between both its edges: of skin or of the outline, whichever has more slices of a forearm's width.
+
+    Where a run reaches the border of the corridor (a shirt of that colour behind), there is no edge.
+    """
+    low, high = edges.low, edges.high
+    whole = (low > 1 - edges.half) & (high < edges.half - 1)
+    width = np.where(_tapers(high - low, whole, edges.pixels_a_metre), high - low, 0.0)
     kind = int((width > 0).sum(axis=1).argmax())
-    return Strip(axis + (low + high)[kind, :, None] / 2 * across, width[kind], kind == 0)
+    return Strip(edges.at((low + high)[kind] / 2), width[kind], kind == 0)
+
+
+def beside_one_edge(
+    edges: Edges, width: Float[np.ndarray, " S"], axis: Float[np.ndarray, " S"], within: float
+) -> Strip | None:
+    """The limb beside the one edge that it has, where something of its colour lies on its other side.
+
+    Args:
+        edges: across the axis.
+        width: of the limb, as other views have it, px.
+        axis: where all views see the axis, px from the promised one.
+        within: distance from the axis up to which a slice is the limb's, px.
+
+    Returns:
+        The run and the side with the most slices near the axis; None where there are none.
+    """
+    some = edges.high > edges.low
+    best = None
+    for kind in range(2):
+        for side, offset in ((edges.low, width / 2), (edges.high, -width / 2)):
+            clean = some[kind] & (np.abs(side[kind]) < edges.half - 1)
+            middle = side[kind] + offset
+            held = clean & (np.abs(middle - axis) <= within)
+            if held.any() and (best is None or held.sum() > (best.width > 0).sum()):
+                best = Strip(edges.at(middle), np.where(held, width, 0.0), kind == 0)
+    return best
 
 
 def _sampled(labels: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "S n 2"]) -> Float[np.ndarray, "2 S n"]:

@@ -11,18 +11,30 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.detect.arm import SLICES, Crop, Limb, Strip, cut_strip, find_limbs, find_tips
+from jaxpoint.detect.arm import (
+    SLICES,
+    Crop,
+    Edges,
+    Limb,
+    Strip,
+    beside_one_edge,
+    cut_strip,
+    find_edges,
+    find_limbs,
+    find_tips,
+)
 from jaxpoint.person.association import Arm, LimbRays, agreeing_views, associate, common_point, stretch
 from jaxpoint.person.promise import NEAREST_M, Promise, promise, rays_through, strips_axis
 from jaxpoint.pointing.axis import LimbAxis
 
 HEAD_M = 0.24  # height of a head
-SPAN = (0.113, 0.230)  # of the stature, behind the tip: wrist at 0.108, elbow at 0.254 (Drillis & Contini)
+SPAN = (0.108, 0.240)  # of the stature, behind the tip: wrist at 0.108, elbow at 0.254 (Drillis & Contini)
 SMALLEST_M, TALLEST_M = 1.45, 2.0  # of standing people
 SEATED_M = 1.65  # stature of who is lower than that
 RIVAL_M = 0.12  # arms stretched out less far by more than this are no rivals of the farthest
 ROUNDS = 3  # of promising, measuring, fitting
 MIN_SLICES = 6  # of a view that counts
+ONE_EDGE_SLICES = 10  # of a view in which only one of the limb's edges is seen
 FORESHORTENED = np.deg2rad(15.0)  # a limb nearer to the line of sight says nothing of its direction (thesis 7.3)
 AGREES = 2.5  # a view's middle line lies within so many of these errors of the common axis
 MOST_TIPS = 3  # candidates of a tip in one view
@@ -127,18 +139,41 @@ def find_arm(
         head: centre of the head, m.
         head_px: the same in each image.
     """
-    focal = np.asarray(rig.cameras.focal).mean(axis=1)
-    scene = _Scene(rig, crops, np.asarray(rig.positions), focal, np.asarray(rig.image_sizes))
+    scene = _scene(rig, crops)
     limbs, cameras = _limbs(scene, head, head_px)
-    arms = sorted(associate(_rays_of(scene, limbs, cameras), head), key=lambda arm: -stretch(arm, head))
+    arms = sorted(associate(_rays_of(scene, limbs, cameras), head), key=lambda arm: -stretch(arm.tip, head))
     for arm in arms:
-        if stretch(arm, head) < stretch(arms[0], head) - RIVAL_M:
+        if stretch(arm.tip, head) < stretch(arms[0].tip, head) - RIVAL_M:
             break  # the arm that is stretched out could not be measured; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
         measured = _measured(scene, arm, own, _span(head))
         if measured is not None:
-            return replace(measured, stretch=stretch(arm, head))
+            return replace(measured, stretch=stretch(arm.tip, head))
     return None
+
+
+def find_arm_again(
+    rig: CameraRig, crops: Sequence[Crop | None], head: Float[np.ndarray, "3"], other: PointingArm, moved: np.ndarray
+) -> PointingArm | None:
+    """The arm where that of a neighbouring moment promises it; None where the views do not bear it out.
+
+    Args:
+        rig: the cameras.
+        crops: the person's pixels in each view; None where it has none.
+        head: centre of the head, m.
+        other: the arm a moment before or after.
+        moved: by which the head has moved since, m.
+    """
+    ahead, near, tip = other.direction, np.asarray(other.axis.near), other.tip
+    foot = near + ((tip - near) @ ahead) * ahead
+    arm = Arm((), tip + moved, ahead, 0.0, other.tip_spread, foot + moved)
+    found = _measured(_scene(rig, crops), arm, {}, _span(head))
+    return None if found is None else replace(found, stretch=stretch(found.tip, head))
+
+
+def _scene(rig: CameraRig, crops: Sequence[Crop | None]) -> _Scene:
+    focal = np.asarray(rig.cameras.focal).mean(axis=1)
+    return _Scene(rig, crops, np.asarray(rig.positions), focal, np.asarray(rig.image_sizes))
 
 
 def _limbs(
@@ -233,25 +268,69 @@ def _settle(
     on_axis = tip
     for _ in range(rounds):
         promised = jax.tree.map(np.asarray, promise(scene.rig, on_axis, direction, span))
-        strips = [_strip(crop, promised, camera) for camera, crop in enumerate(scene.crops)]
+        edges = [_edges(crop, promised, camera) for camera, crop in enumerate(scene.crops)]
+        strips = [_strip(own) for own in edges]
         agreed = _agreeing(scene, strips, promised, on_axis, direction)
         used = strips
         if agreed is not None:
             used, direction = [strip if keep else None for strip, keep in zip(strips, agreed[0])], agreed[1]
         axis = _fit(scene, used, on_axis, direction, span)
+        if agreed is not None:
+            added = _beside(scene, edges, used, promised, axis)
+            if added:
+                strips, used = ([added.get(c, strip) for c, strip in enumerate(own)] for own in (strips, used))
+                axis = _fit(scene, used, on_axis, np.asarray(axis.direction), span)
         direction = np.asarray(axis.direction)
         on_axis = np.asarray(axis.near) + span[0] * direction
     return _Measured(axis, strips, promised)
 
 
-def _strip(crop: Crop | None, promised: Promise, camera: int) -> Strip | None:
+def _edges(crop: Crop | None, promised: Promise, camera: int) -> Edges | None:
     """The limb's edges in one view; None where it cannot say anything."""
     if crop is None or not promised.ahead[camera] or promised.angle[camera] < FORESHORTENED:
         return None
     scale = float(promised.pixels_a_metre[camera])
-    pixels, across = np.asarray(promised.pixels), np.asarray(promised.across)
-    strip = cut_strip(crop, pixels[camera], across[camera], scale)
-    return strip if (strip.width > 0).sum() >= MIN_SLICES else None
+    return find_edges(crop, np.asarray(promised.pixels[camera]), np.asarray(promised.across[camera]), scale)
+
+
+def _strip(edges: Edges | None) -> Strip | None:
+    """The limb between its edges; None where too few slices have both."""
+    strip = None if edges is None else cut_strip(edges)
+    return strip if strip is not None and (strip.width > 0).sum() >= MIN_SLICES else None
+
+
+def _beside(
+    scene: _Scene, edges: Sequence[Edges | None], used: Sequence[Strip | None], promised: Promise, axis: LimbAxis
+) -> dict[int, Strip]:
+    """Strips of views that have no say yet, by camera: beside one edge, with the width that the other views have."""
+    width = _common_width(used, promised)
+    ends = np.asarray(scene.rig.project(np.stack([axis.near, axis.far])))
+    added = {}
+    for camera, own in enumerate(edges):
+        if own is None or used[camera] is not None:
+            continue
+        within = AGREES * float(promised.sigma_px[camera])
+        strip = beside_one_edge(own, width * own.pixels_a_metre, _offsets(own, ends[:, camera]), within)
+        if strip is not None and (strip.width > 0).sum() >= ONE_EDGE_SLICES:
+            added[camera] = strip
+    return added
+
+
+def _common_width(strips: Sequence[Strip | None], promised: Promise) -> Float[np.ndarray, " S"]:
+    """Width of the limb at each slice, m: the middle of all views that have it there; between, straight on."""
+    widths = np.stack(
+        [strip.width / promised.pixels_a_metre[camera] for camera, strip in enumerate(strips) if strip is not None]
+    )
+    some = (widths > 0).any(axis=0)
+    middle = [np.median(column[column > 0]) for column in widths[:, some].T]
+    return np.interp(np.arange(SLICES), np.flatnonzero(some), middle)
+
+
+def _offsets(edges: Edges, ends: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, " S"]:
+    """Where the line through two pixels crosses each slice, px from the promised axis."""
+    along, gap = ends[1] - ends[0], edges.axis - ends[0]
+    crossing = along[0] * edges.across[1] - along[1] * edges.across[0]  # small only where the line runs along a slice
+    return (along[1] * gap[:, 0] - along[0] * gap[:, 1]) / (np.sign(crossing) * max(abs(crossing), 1e-6))
 
 
 def _agreeing(

@@ -90,10 +90,10 @@ def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 
     return arms
 
 
-def stretch(arm: Arm, head: Float[np.ndarray, "3"]) -> float:
-    """How far the tip is from the body's upright axis, m; a hand above the shoulder counts as far."""
+def stretch(tip: Float[np.ndarray, "3"], head: Float[np.ndarray, "3"]) -> float:
+    """How far a tip is from the body's upright axis, m; a hand above the shoulder counts as far."""
     shoulder = head - [0.0, 0.0, SHOULDER_BELOW_M]
-    off = arm.tip - shoulder
+    off = tip - shoulder
     return float(np.hypot(off[0], off[1]) + max(0.0, off[2]))
 
 

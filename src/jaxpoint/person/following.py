@@ -12,7 +12,8 @@ from jaxtyping import Float, Int
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.detect.arm import Crop
-from jaxpoint.person.arms import PointingArm, find_arm
+from jaxpoint.person.arms import PointingArm, find_arm, find_arm_again
+from jaxpoint.person.continuity import with_neighbours
 from jaxpoint.person.views import CameraViews, head_found
 from jaxpoint.tracking.result import Tracking
 from jaxpoint.tracking.tracker import track_heads
@@ -73,26 +74,37 @@ def _with_arms(
 ) -> Following:
     """Whose each sighting is, and the arms of everybody at every moment."""
     heads = tracking.heads
-    moments = len(heads.positions)
     sightings = np.full(tracking.candidates.shape, -1)
     arms: dict[tuple[int, int], PointingArm | None] = {}
     projected = np.asarray(rig.project(heads.positions))
     depth = np.asarray(rig.depth(heads.positions))
-    for moment in range(moments):
+
+    def crops(moment: int, person: int) -> list[Crop | None]:
+        return [None if s < 0 else views[c].crop(s) for c, s in enumerate(sightings[moment, person])]
+
+    for moment in range(len(heads.positions)):
         for person in np.flatnonzero(heads.present[moment]):
             place = projected[moment, person]
-            chosen = [
+            sightings[moment, person] = [
                 _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
                 if depth[moment, person, c] > 0
                 else -1
                 for c in range(len(views))
             ]
-            sightings[moment, person] = chosen
-            crops: list[Crop | None] = [None if s < 0 else views[c].crop(s) for c, s in enumerate(chosen)]
-            head = heads.positions[moment, person]
-            arms[moment, int(person)] = find_arm(rig, crops, head, place)
+            found = find_arm(rig, crops(moment, person), heads.positions[moment, person], place)
+            arms[moment, int(person)] = found
         if progress:
-            progress("arms", moment + 1, moments)
+            progress("arms", moment + 1, len(heads.positions))
+
+    def again(moment: int, person: int, other: int) -> PointingArm | None:
+        head, before = heads.positions[[moment, other], person]
+        arm = arms[other, person]
+        return None if arm is None else find_arm_again(rig, crops(moment, person), head, arm, head - before)
+
+    for person in range(heads.present.shape[1]):
+        own = {moment: arm for (moment, who), arm in arms.items() if who == person}
+        agreed = with_neighbours(own, heads.times, lambda m, o, who=person: again(m, who, o))
+        arms.update({(moment, person): arm for moment, arm in agreed.items()})
     return Following(tracking, sightings, arms)
 
 
