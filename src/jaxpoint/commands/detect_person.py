@@ -14,14 +14,14 @@ import tyro
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
-from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
     from jaxpoint.io.session import Session
-    from jaxpoint.person.following import Following
+    from jaxpoint.person.following import Following, Progress
     from jaxpoint.person.views import CameraViews
 
 
@@ -40,6 +40,11 @@ class DetectPerson(SeededOptions):
     """Folder of the session, or of its videos."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    landmarks: Path | None = None
+    """What a pose estimator found, instead of the images: a CSV file with frame, camera, name, x, y, confidence, and
+    person where there are several."""
+    min_confidence: Fraction = 0.3
+    """Landmarks below are left out."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the tables; parquet needs pyarrow."""
     cache: Path | None = None
@@ -62,26 +67,46 @@ class DetectPerson(SeededOptions):
         hush_opencv(self.verbose)
         from jaxpoint.io.session import open_session
         from jaxpoint.io.table import check_table_path
-        from jaxpoint.person.following import follow
-        from jaxpoint.person.recording import default_cache, watch_session
         from jaxpoint.runs import check_out
 
         out = self.needed_out("person-run")
         check_out(out, self.force)
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
-        kept = self.cache or default_cache()
         with console.progress() as progress:
-            views = watch_session(
-                session, self.settings, cache=kept, anew=self.anew, workers=self.workers, progress=progress
-            )
-            following = None
-            if session.rig is not None and len(session.names) > 1:
-                following = follow(
-                    session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress
-                )
+            views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
         figures = _write(self, out, session, views, following)
         return Outcome(figures, _lines(figures, out), _failure(figures))
+
+
+def _seen(
+    command: DetectPerson, session: Session, progress: Progress
+) -> tuple[tuple[CameraViews, ...], Following | None]:
+    """What the images show."""
+    from jaxpoint.person.following import follow
+    from jaxpoint.person.recording import default_cache, watch_session
+
+    kept = command.cache or default_cache()
+    views = watch_session(
+        session, command.settings, cache=kept, anew=command.anew, workers=command.workers, progress=progress
+    )
+    if session.rig is None or len(session.names) < 2:
+        return views, None
+    return views, follow(session.rig, views, session.times, command.track, frame_ids=session.moments, progress=progress)
+
+
+def _given(
+    command: DetectPerson, session: Session, progress: Progress
+) -> tuple[tuple[CameraViews, ...], Following | None]:
+    """What a pose estimator found."""
+    from jaxpoint.io.poses import read_poses
+    from jaxpoint.person.poses import follow_poses, views_of_poses
+
+    poses = read_poses(command.landmarks or Path(), session, command.min_confidence)
+    views = views_of_poses(session, poses)
+    if session.rig is None or len(session.names) < 2:
+        return views, None
+    return views, follow_poses(session.rig, session, poses, views, command.track, progress)
 
 
 def _write(
@@ -98,7 +123,8 @@ def _write(
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
-    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session], command.seed)
+    inputs = [command.session, *([command.landmarks] if command.landmarks else [])]
+    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), inputs, command.seed)
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)

@@ -23,12 +23,13 @@ OUTVOTED = 3  # before an answer that stands alone is withdrawn
 ROUNDS = 3  # what was found again supports the moments beside it
 
 Arms = dict[int, PointingArm | None]
+Again = Callable[[int, int], PointingArm | None]
 
 
 def with_neighbours(
     arms: Mapping[int, PointingArm | None],
     times: Float[np.ndarray, " F"],
-    again: Callable[[int, int], PointingArm | None],
+    again: Again,
 ) -> Arms:
     """The arms of one person by moment, those that neighbours contradict found anew or withdrawn.
 
@@ -48,26 +49,30 @@ def with_neighbours(
     return arms
 
 
-def _reconsidered(arms: Arms, times: np.ndarray, moment: int, again) -> PointingArm | None:
+def _reconsidered(arms: Arms, times: np.ndarray, moment: int, again: Again) -> PointingArm | None:
     own = arms[moment]
-    group = _majority(arms, times, moment)
-    if len(group) < SUPPORT or (own is not None and _alike(own, arms[group[0]], times[moment] - times[group[0]])):
+    others = {
+        m: arm
+        for m, arm in arms.items()
+        if m != moment and arm is not None and abs(times[m] - times[moment]) <= WINDOW_S
+    }
+    group = _majority(others, times)
+    if len(group) < SUPPORT:
+        return own
+    if own is not None and _alike(own, others[group[0]], times[moment] - times[group[0]]):
         return own
     nearest = min(group, key=lambda other: abs(times[other] - times[moment]))
     found = again(moment, nearest)
-    if found is not None and _alike(found, arms[nearest], times[moment] - times[nearest]):
+    if found is not None and _alike(found, others[nearest], times[moment] - times[nearest]):
         return found
     return None if own is not None and len(group) >= OUTVOTED else own
 
 
-def _majority(arms: Arms, times: np.ndarray, moment: int) -> list[int]:
-    """The neighbours that most of them agree with, the one with the most agreement first."""
-    others = [
-        m for m, arm in arms.items() if m != moment and arm is not None and abs(times[m] - times[moment]) <= WINDOW_S
-    ]
-    groups = [[m, *(o for o in others if o != m and _alike(arms[m], arms[o], times[m] - times[o]))] for m in others]
+def _majority(arms: Mapping[int, PointingArm], times: np.ndarray) -> list[int]:
+    """The moments that most of them agree with, the one with the most agreement first; none without a majority."""
+    groups = [[m, *(o for o in arms if o != m and _alike(arms[m], arms[o], times[m] - times[o]))] for m in arms]
     best = max(groups, key=len, default=[])
-    return best if 2 * len(best) > len(others) else []
+    return best if 2 * len(best) > len(arms) else []
 
 
 def _alike(a: PointingArm, b: PointingArm, seconds: float) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
@@ -19,6 +19,8 @@ from jaxpoint.tracking.result import Tracking
 from jaxpoint.tracking.tracker import track_heads
 
 HEAD_SIGMA = 0.07  # of its height, the error of a head's middle in one view
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how much of it is done, and how much there is."""
 INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
 
 
@@ -38,7 +40,8 @@ def follow(
     settings: TrackSettings | None = None,
     *,
     frame_ids: Int[np.ndarray, " F"] | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
+    with_arms: bool = True,
 ) -> Following:
     """Follow everybody and find their arms.
 
@@ -49,6 +52,7 @@ def follow(
         settings: of the head track.
         frame_ids: numbers of the moments.
         progress: called with what is done, how much of it, and how much there is.
+        with_arms: whether to look for arms in the crops; without it there are none.
 
     Raises:
         InsufficientDataError: fewer than two cameras.
@@ -62,50 +66,55 @@ def follow(
     settings = settings or TrackSettings()
     tracking = track_heads(rig, pixels, valid, times, settings, sigma_px=sigma, frame_ids=frame_ids, progress=tell)
     with jax.enable_x64(True):
-        return _with_arms(rig, views, tracking, index, progress)
+        following = _with_sightings(rig, views, tracking, index)
+        return _with_arms(rig, views, following, progress) if with_arms else following
+
+
+def _with_sightings(
+    rig: CameraRig, views: Sequence[CameraViews], tracking: Tracking, index: Int[np.ndarray, "F C K"]
+) -> Following:
+    """Whose each sighting is."""
+    heads = tracking.heads
+    sightings = np.full(tracking.candidates.shape, -1)
+    projected, depth = np.asarray(rig.project(heads.positions)), np.asarray(rig.depth(heads.positions))
+    for moment, person in np.argwhere(heads.present).tolist():
+        place = projected[moment, person]
+        sightings[moment, person] = [
+            _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
+            if depth[moment, person, c] > 0
+            else -1
+            for c in range(len(views))
+        ]
+    return Following(tracking, sightings, {})
 
 
 def _with_arms(
-    rig: CameraRig,
-    views: Sequence[CameraViews],
-    tracking: Tracking,
-    index: Int[np.ndarray, "F C K"],
-    progress: Callable[[str, int, int], None] | None,
+    rig: CameraRig, views: Sequence[CameraViews], following: Following, progress: Progress | None
 ) -> Following:
-    """Whose each sighting is, and the arms of everybody at every moment."""
-    heads = tracking.heads
-    sightings = np.full(tracking.candidates.shape, -1)
+    """The arms of everybody at every moment."""
+    heads, sightings = following.tracking.heads, following.sightings
     arms: dict[tuple[int, int], PointingArm | None] = {}
     projected = np.asarray(rig.project(heads.positions))
-    depth = np.asarray(rig.depth(heads.positions))
 
     def crops(moment: int, person: int) -> list[Crop | None]:
-        return [None if s < 0 else views[c].crop(s) for c, s in enumerate(sightings[moment, person])]
-
-    for moment in range(len(heads.positions)):
-        for person in np.flatnonzero(heads.present[moment]):
-            place = projected[moment, person]
-            sightings[moment, person] = [
-                _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
-                if depth[moment, person, c] > 0
-                else -1
-                for c in range(len(views))
-            ]
-            found = find_arm(rig, crops(moment, person), heads.positions[moment, person], place)
-            arms[moment, int(person)] = found
-        if progress:
-            progress("arms", moment + 1, len(heads.positions))
+        return [None if s < 0 else views[c].crop(s) for c, s in enumerate(sightings[moment, person].tolist())]
 
     def again(moment: int, person: int, other: int) -> PointingArm | None:
         head, before = heads.positions[[moment, other], person]
         arm = arms[other, person]
         return None if arm is None else find_arm_again(rig, crops(moment, person), head, arm, head - before)
 
+    for moment in range(len(heads.positions)):
+        for person in np.flatnonzero(heads.present[moment]).tolist():
+            head, head_px = heads.positions[moment, person], projected[moment, person]
+            arms[moment, person] = find_arm(rig, crops(moment, person), head, head_px)
+        if progress:
+            progress("arms", moment + 1, len(heads.positions))
     for person in range(heads.present.shape[1]):
         own = {moment: arm for (moment, who), arm in arms.items() if who == person}
         agreed = with_neighbours(own, heads.times, lambda m, o, who=person: again(m, who, o))
         arms.update({(moment, person): arm for moment, arm in agreed.items()})
-    return Following(tracking, sightings, arms)
+    return replace(following, arms=arms)
 
 
 def _heads(views: Sequence[CameraViews], moments: int):
