@@ -46,7 +46,7 @@ def intersect(rays: Ray, objects: Objects, most: int = MOST) -> Hits:
 def _intersect(shapes: Shapes, most: int, rays: Ray) -> Hits:
     """Of rays with one leading axis."""
     distance, u, v = jax.vmap(partial(meet, shapes))(rays)
-    places, count = _nearest_first(jax.lax.stop_gradient(distance), most)
+    places, count = nearest_first(jax.lax.stop_gradient(distance), most)
     valid = jnp.arange(most)[None] < count[:, None]
     along, u, v = (
         jnp.where(valid, jnp.take_along_axis(jnp.where(jnp.isfinite(distance), part, 0.0), places, axis=1), 0.0)
@@ -72,7 +72,10 @@ def meet(shapes: Shapes, ray: Ray) -> tuple[Float[Array, " F+S"], Float[Array, "
     return distance, u, v
 
 
-def _meet_faces(shapes: Shapes, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
+def face_fractions(
+    shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]
+) -> tuple[Float[Array, " F"], Float[Array, " F"], Float[Array, " F"], Bool[Array, " F"]]:
+    """Where a ray meets the planes of faces: distance (m), fractions of the sides, and whether it meets them ahead."""
     corner, right, down = shapes.corner, shapes.right, shapes.down
     normal = jnp.cross(down, right)
     area2 = jnp.sum(normal**2, axis=1)
@@ -81,14 +84,17 @@ def _meet_faces(shapes: Shapes, origin: Array, direction: Array) -> tuple[Array,
     unit = normal / jnp.sqrt(safe)
     # The dual base: a point's fractions are its products with these.
     across, along = jnp.cross(right, normal) / safe, jnp.cross(normal, down) / safe
-
     closing = _dot(unit, direction)
-    ahead = jnp.abs(closing) > _PARALLEL
-    ahead &= ~shapes.solid | (closing < 0)
-    distance = (_dots(unit, corner) - _dot(unit, origin)) / jnp.where(ahead, closing, 1.0)
+    parallel = jnp.abs(closing) < _PARALLEL
+    distance = (_dots(unit, corner) - _dot(unit, origin)) / jnp.where(parallel, 1.0, closing)
     u = _dot(along, origin) - _dots(along, corner) + distance * _dot(along, direction)
     v = _dot(across, origin) - _dots(across, corner) + distance * _dot(across, direction)
-    hit = used & ahead & (distance > 0) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+    return distance, u, v, used & ~parallel & (distance > 0) & (~shapes.solid | (closing < 0))
+
+
+def _meet_faces(shapes: Shapes, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
+    distance, u, v, ahead = face_fractions(shapes, origin, direction)
+    hit = ahead & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
     return jnp.where(hit, distance, jnp.inf), u, v
 
 
@@ -111,7 +117,7 @@ def _dots(a: Array, b: Array) -> Array:
     return jnp.sum(a * b, axis=1)
 
 
-def _nearest_first(distance: Array, most: int) -> tuple[Array, Array]:
+def nearest_first(distance: Float[Array, "G n"], most: int) -> tuple[Int[Array, "G most"], Int[Array, " G"]]:
     """Places of the smallest distances of each row, and how many are finite.
 
     Hits are few, so the smallest are taken out one after the other; sorting whole rows takes ten times as long. The

@@ -24,15 +24,16 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray, normalised
-from jaxpoint.pointing.hits import meet
+from jaxpoint.pointing.hits import face_fractions, meet, nearest_first
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
-from jaxpoint.pointing.mass import across, masses, solid_angles
+from jaxpoint.pointing.mass import NEAR_M, across, masses, solid_angles
 from jaxpoint.pointing.objects import Objects, Shapes
 
 AMBIGUOUS = 3.0
-_DIRECTIONS = 24  # by which it is told how much of an object is hidden
-_PROBED = 8  # of the likeliest objects it is also asked whether the place nearest to the line is hidden
+_NEAR = 16  # faces that are looked at for one line: the nearest by angle; the others count as missed
+_DIRECTIONS = 16  # by which it is told how much of an object is hidden
+_TOUCH = 1e-9  # relative distance within which two faces hide nothing of each other
 
 
 class Behaviour(eqx.Module):
@@ -58,8 +59,12 @@ class Posterior(eqx.Module):
     nothing: Float[Array, "*batch"]
     mass: Float[Array, "*batch K"]  # share of the line's distribution on each object, whatever stands before it
     visible: Float[Array, "*batch K"]  # share of that mass that no other object hides, 0..1
-    order: Int[Array, "*batch K"]  # objects, likeliest first
     ambiguous: Bool[Array, "*batch"]  # the best two answers, nothing among them, are within a factor of AMBIGUOUS
+
+    @property
+    def order(self) -> Int[Array, "*batch K"]:
+        """The objects, likeliest first."""
+        return jnp.argsort(-self.probability, axis=-1)
 
 
 def posterior(
@@ -90,59 +95,106 @@ def posterior(
 
 @jit
 def _posterior(
-    shapes: Shapes, behaviour: Behaviour, origin: Array, direction: Array, covariance: Array, weights: Array
-):
-    def one(origin: Array, direction: Array, covariance: Array, weights: Array) -> Posterior:
-        return _of_line(shapes, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+    shapes: Shapes,
+    behaviour: Behaviour,
+    origin: Float[Array, "G 3"],
+    direction: Float[Array, "G 3"],
+    covariance: Float[Array, "G 6 6"],
+    weights: Float[Array, "G K"],
+) -> Posterior:
+    """Of lines with one leading axis."""
 
-    return jax.vmap(one)(origin, direction, covariance, weights)
+    def one(origin: Array, direction: Array, covariance: Array, weights: Array, index: Array, ahead: Array):
+        few = _chosen(shapes, index, ahead)
+        return _of_line(few, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+
+    bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
+    index, count = nearest_first(bounds, min(_NEAR, bounds.shape[1]))
+    ahead = jnp.arange(index.shape[1])[None] < count[:, None]
+    return jax.vmap(one)(origin, direction, covariance, weights, index, ahead)
+
+
+def _tangent_bounds(shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, " F"]:
+    """Less than the tangent of the angle from a ray to each face, from a sphere around the face; infinite behind."""
+    middle = shapes.corner + (shapes.right + shapes.down) / 2
+    side2, down2 = jnp.sum(shapes.right**2, axis=1), jnp.sum(shapes.down**2, axis=1)
+    radius = jnp.sqrt(side2 + down2 + 2 * jnp.abs(jnp.sum(shapes.right * shapes.down, axis=1))) / 2
+    gap = tuple(middle[:, i] - origin[i] for i in range(3))
+    along = gap[0] * direction[0] + gap[1] * direction[1] + gap[2] * direction[2]
+    across2 = gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 - along**2
+    beside = jnp.maximum(jnp.sqrt(jnp.maximum(across2, 0.0)) - radius, 0.0)
+    ahead = (along + radius > NEAR_M) & (side2 > 0)
+    # Where a ray passes through many of the spheres, those whose middle is nearest come first.
+    order = 1e-6 * across2 / jnp.where(ahead, along + radius, 1.0) ** 2
+    return jnp.where(ahead, beside / jnp.where(ahead, along + radius, 1.0) + order, jnp.inf)
+
+
+def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -> Shapes:
+    """Some of the faces, and all spheres; a face that is not meant has no size."""
+    faces = shapes.corner.shape[0]
+    return Shapes(
+        shapes.corner[index],
+        jnp.where(ahead[:, None], shapes.right[index], 0.0),
+        jnp.where(ahead[:, None], shapes.down[index], 0.0),
+        shapes.solid[index],
+        shapes.center,
+        shapes.radius,
+        jnp.concatenate([shapes.owner[:faces][index], shapes.owner[faces:]]),
+    )
 
 
 def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]) -> Posterior:
-    count = weights.shape[0]
-    by_part = masses(line, shapes, behaviour.spread, behaviour.freedom)
-    mass = _by_object(by_part, shapes, count)
-    visible = _visible(line, shapes, behaviour, by_part, count)
-    shown = mass * (visible + behaviour.hidden * (1 - visible))
-    angle = _by_object(solid_angles(line.ray.origin, shapes), shapes, count)
-    if behaviour.prior == "size":
-        scale = angle * weights
-        likelihood = shown * weights / jnp.sum(jnp.where(scale > 0, scale, 0.0))
+    def by_object(parts: Float[Array, " F+S"]) -> Float[Array, " K"]:
+        return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
+
+    parts = masses(line, shapes, behaviour.spread, behaviour.freedom)
+    seen = _visible(line, shapes, behaviour)
+    angles = solid_angles(line.ray.origin, shapes)
+    mass, shown, angle = by_object(parts), by_object(parts * seen), by_object(angles)
+    counted = shown + behaviour.hidden * (mass - shown)
+    none = jnp.clip(1 - jnp.sum(shown), 0.0, 1.0) / (2 * jnp.pi)
+    if behaviour.prior == "equal":
+        counted = counted / jnp.where(angle > 0, angle, 1.0)
     else:
-        likelihood = weights * shown / jnp.where(angle > 0, angle, 1.0)
-    none = jnp.clip(1 - jnp.sum(mass * visible), 0.0, 1.0) / (2 * jnp.pi)
-    scores = jnp.concatenate([(1 - behaviour.nothing) * likelihood, (behaviour.nothing * none)[None]])
-    total = jnp.sum(scores)
-    chances = jnp.where(total > 0, scores / jnp.where(total > 0, total, 1.0), jnp.eye(count + 1)[-1])
-    best = jax.lax.top_k(jax.lax.stop_gradient(chances), 2)[0]
-    order = jnp.argsort(-jax.lax.stop_gradient(chances[:-1]))
-    return Posterior(chances[:-1], chances[-1], mass, visible, order.astype(jnp.int32), best[0] < AMBIGUOUS * best[1])
+        none = none * 2 * jnp.pi
+    scores, nothing = (1 - behaviour.nothing) * weights * counted, behaviour.nothing * none
+    total = jnp.sum(scores) + nothing
+    safe = jnp.where(total > 0, total, 1.0)
+    chance = scores / safe
+    rest = jnp.where(total > 0, nothing / safe, 1.0)
+    best = jnp.argmax(chance)
+    second = jnp.max(jnp.where(jnp.arange(len(chance)) == best, 0.0, chance))
+    first = jnp.max(chance)
+    ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
+    return Posterior(chance, rest, mass, jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0), ambiguous)
 
 
-def _by_object(parts: Float[Array, " F+S"], shapes: Shapes, count: int) -> Float[Array, " K"]:
-    return jax.ops.segment_sum(parts, shapes.owner, count)
+def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " F+S"]:
+    """How much of each part's share of the distribution no other part hides, 0..1.
 
-
-def _visible(
-    line: PointingLine, shapes: Shapes, behaviour: Behaviour, by_part: Array, count: int
-) -> Float[Array, " K"]:
-    """How much of each object's share of the distribution no other object hides.
-
-    Told by directions drawn evenly from the distribution. An object on which few or none of them fall is also asked at
-    the place of its part that is nearest to the line, if it is among the likeliest; else it counts as seen.
+    Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
+    line in its plane, so that small and far ones are asked too.
     """
     base = across(line.ray.direction)
-    covariance = base @ line.direction_covariance @ base.T + behaviour.spread
-    drawn = _normal_points() @ jnp.linalg.cholesky(covariance).T.astype(base.dtype)
-    drawn = jax.lax.stop_gradient(drawn)
-    sample = normalised(line.ray.direction[None] + drawn @ base)
-    distance = jax.vmap(lambda towards: meet(shapes, Ray(line.ray.origin, towards))[0])(sample)
-    by_object = jax.vmap(lambda row: jax.ops.segment_min(row, shapes.owner, count))(distance)
-    first = jnp.min(by_object, axis=1)
-    hit = jnp.isfinite(by_object)
-    seen = hit & (by_object <= first[:, None])
-    hits, sights = jnp.sum(hit, axis=0), jnp.sum(seen, axis=0)
+    scale = jnp.linalg.norm(base @ line.direction_covariance @ base.T + behaviour.spread) ** 0.5
+    drawn = jax.lax.stop_gradient(scale * jnp.asarray(_normal_points(), base.dtype) @ base)
+    towards = jnp.concatenate([line.ray.direction[None] + drawn, _nearest_places(line.ray, shapes)])
+    distance = jax.vmap(lambda d: meet(shapes, Ray(line.ray.origin, d))[0])(normalised(towards))
+    hit = jnp.isfinite(distance)
+    seen = hit & (distance <= (1 + _TOUCH) * jnp.min(distance, axis=1, keepdims=True))
+    # Of the directions to places of parts, each tells of its own part alone.
+    own = jnp.concatenate([jnp.ones((len(drawn), distance.shape[1])), jnp.eye(distance.shape[1])])
+    hits, sights = jnp.sum(own * hit, axis=0), jnp.sum(own * seen, axis=0)
     return jnp.where(hits > 0, sights / jnp.maximum(hits, 1), 1.0)
+
+
+def _nearest_places(ray: Ray, shapes: Shapes) -> Float[Array, "F+S 3"]:
+    """Directions from the origin to where the ray meets each part's plane, held within the part, or to its middle."""
+    plain = eqx.tree_at(lambda s: s.solid, shapes, jnp.zeros_like(shapes.solid))
+    _, u, v, ahead = face_fractions(plain, ray.origin, ray.direction)
+    u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
+    on_faces = shapes.corner + u[:, None] * shapes.right + v[:, None] * shapes.down
+    return jnp.concatenate([on_faces, shapes.center]) - ray.origin[None]
 
 
 def _normal_points() -> np.ndarray:
