@@ -1,8 +1,8 @@
 """The database of objects, a CSV or a TOML file.
 
 CSV, rectangles only: `name`, `lt_x,lt_y,lt_z,rt_x,...,lb_x,...,rb_x,...` (left-top, right-top, left-bottom,
-right-bottom), and optionally `kind` and `tags` (words between spaces). The unit (m, cm or mm) stands in a column `unit`,
-or at the end of the corners' columns: `lt_x_cm`.
+right-bottom), and optionally `kind` and `tags` (words between spaces). The unit (m, cm or mm) stands in a column
+`unit`, or at the end of the corners' columns: `lt_x_cm`.
 
 TOML: a `unit`, optionally `[room]` with `low` and `high`, and any number of
 
@@ -244,8 +244,8 @@ def _check_room(path: Path, things: list[Thing]) -> None:
     span = float((high - low).max())
     if span > MAX_ROOM_M:
         raise FileFormatError(
-            f"The objects of {path} lie up to {span:.0f} m apart, and no room is larger than {MAX_ROOM_M:.0f} m; correct "
-            "the unit, or the farthest object."
+            f"The objects of {path} lie up to {span:.0f} m apart, and no room is larger than {MAX_ROOM_M:.0f} m; "
+            "correct the unit, or the farthest object."
         )
 
 

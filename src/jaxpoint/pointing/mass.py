@@ -14,6 +14,8 @@ an even number of degrees of freedom, S = (1 + r^2 / nu)^(-nu/2), in closed form
 
 from __future__ import annotations
 
+import operator
+from functools import reduce
 from typing import TypeAlias
 
 import jax
@@ -29,7 +31,6 @@ from jaxpoint.pointing.objects import Shapes
 NEAR_M = 0.05  # what lies less far before the tip is not pointed at
 _REACH = 4.0  # standard deviations, beyond which a Gaussian is nothing
 _NODES = 10
-_PIECES = 1  # of an edge, which is straight in the room but not quite in white coordinates
 _SIDES = 12  # of the polygon of equal area that stands for a sphere's outline
 _ARCTAN = (
     0.0028662257,
@@ -43,16 +44,7 @@ _ARCTAN = (
     1.0,
 )
 Vectors: TypeAlias = tuple[Array, Array, Array]
-
-
-def _around(corners: np.ndarray, pieces: int) -> np.ndarray:
-    """A polygon whose sides are cut into pieces."""
-    share = np.arange(pieces)[:, None] / pieces
-    ends = np.roll(corners, -1, axis=0)
-    return np.concatenate([a + share * (b - a) for a, b in zip(corners, ends)])
-
-
-_RECTANGLE = _around(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), _PIECES)
+_RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 _TURN = 2 * np.pi * np.arange(_SIDES) / _SIDES
 _CIRCLE = np.sqrt(_TURN[1] / np.sin(_TURN[1])) * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
 
@@ -157,16 +149,23 @@ def _of_quads(
 ) -> Float[Array, " n"]:
     """Masses of polygons whose corners are corner + rim[i, 0] right + rim[i, 1] down, each left, up and in depth."""
     corner, right, down = quads
-    places = [tuple(a + at[0] * u + at[1] * v for a, u, v in zip(corner, right, down)) for at in rim]
+    start, end = (
+        tuple(
+            a[None] + jnp.asarray(at[:, :1]) * u[None] + jnp.asarray(at[:, 1:]) * v[None]
+            for a, u, v in zip(corner, right, down)
+        )
+        for at in (rim, np.roll(rim, -1, axis=0))
+    )
     turn = jnp.sign(_facing(corner, right, down))
-    outer, inside, seen = jnp.zeros_like(turn), turn != 0, turn != turn
-    for start, end in zip(places, [*places[1:], places[0]]):  # unrolled: a sum over an axis would not vectorise
-        part, left = _of_edge(start, end, covariance, freedom)
-        ahead = jnp.maximum(start[2], end[2]) > NEAR_M
-        outer += jnp.where(ahead, part, 0.0)
-        inside &= ~ahead | (left * turn > 0)
-        seen |= ahead
-    return jnp.clip(outer * turn / (2 * jnp.pi) + jnp.where(inside & seen, 1.0, 0.0), 0.0, 1.0)
+    part, left = _of_edge(start, end, covariance, freedom)
+    ahead = jnp.maximum(start[2], end[2]) > NEAR_M
+    within = ~ahead | (left * turn[None] > 0)
+    part = jnp.where(ahead, part, 0.0)
+    # Sums that are written out fuse and vectorise, over an axis they do not.
+    outer = reduce(operator.add, (part[i] for i in range(len(rim)))) * turn / (2 * jnp.pi)
+    inside = reduce(operator.and_, (within[i] for i in range(len(rim))))
+    seen = reduce(operator.or_, (ahead[i] for i in range(len(rim))))
+    return jnp.clip(outer + jnp.where(inside & seen & (turn != 0), 1.0, 0.0), 0.0, 1.0)
 
 
 def _of_edge(

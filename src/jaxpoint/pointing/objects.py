@@ -54,7 +54,7 @@ class Thing:
 
 
 class Shapes(eqx.Module):
-    """The numbers of K objects: F faces and S spheres, both padded; a padded face has no area, a padded sphere no radius."""
+    """The numbers of K objects: F faces and S spheres, both padded: with faces and spheres of no size."""
 
     corner: Float[Array, "F 3"]  # m, left-top
     right: Float[Array, "F 3"]  # m, from left-top to right-top
