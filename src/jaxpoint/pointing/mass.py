@@ -2,8 +2,9 @@
 
 The direction's error lies in the plane across the line, gnomonic: a place X at depth z before the tip o is
 y = (X - o) across the line / z. A line whose origin errs too passes X where y is its direction's error plus its
-origin's over z, so every corner is made white by the covariance of its own depth. In white coordinates the mass of a
-polygon is, by the divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
+origin's over z, so every edge is made white by the covariance at the depth where it passes nearest to the line. That is
+exact where the origin is sure or the face square to the line. In white coordinates the mass of a polygon is, by the
+divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
 it, r^2 = h^2 + s^2, S(r) the probability of an error larger than r):
 
     mass = 1 / 2 pi  sum of  integral of  h (1 - S(r)) / r^2  ds
@@ -28,7 +29,7 @@ from jaxpoint.geometry.line import normalised
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.objects import Shapes
 
-NEAR_M = 0.05  # what lies less far before the tip is not pointed at
+NEAR_M = 0.005  # what lies less far before the tip is not pointed at
 _REACH = 4.0  # standard deviations, beyond which a Gaussian is nothing
 _NODES = 10
 _SIDES = 12  # of the polygon of equal area that stands for a sphere's outline
@@ -43,7 +44,7 @@ _ARCTAN = (
     -0.3333314528,
     1.0,
 )
-Vectors: TypeAlias = tuple[Array, Array, Array]
+Vectors: TypeAlias = tuple[Array, ...]  # three components
 _RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
 _TURN = 2 * np.pi * np.arange(_SIDES) / _SIDES
 _CIRCLE = np.sqrt(_TURN[1] / np.sin(_TURN[1])) * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
@@ -172,8 +173,12 @@ def _of_edge(
     start: Vectors, end: Vectors, covariance: tuple[Array, Array, Array], freedom: int | None
 ) -> tuple[Array, Array]:
     """What edges add to masses, and the distance at which they pass 0, positive with 0 to their left."""
-    start, end = _clipped(start, end), _clipped(end, start)
-    p, q = _whitened(start, covariance), _whitened(end, covariance)
+    (p, near_p), (q, near_q) = _projected(_clipped(start, end)), _projected(_clipped(end, start))
+    edge = q[0] - p[0], q[1] - p[1]
+    length2 = edge[0] ** 2 + edge[1] ** 2
+    nearest = jnp.clip(-(p[0] * edge[0] + p[1] * edge[1]) / jnp.where(length2 > 0, length2, 1.0), 0.0, 1.0)
+    near = near_p + nearest * (near_q - near_p)  # of a straight line in the image one over the depth is linear
+    p, q = _whitened(near, covariance, p, q)
     edge = q[0] - p[0], q[1] - p[1]
     shorten = jax.lax.rsqrt(edge[0] ** 2 + edge[1] ** 2 + 1e-24)
     unit = edge[0] * shorten, edge[1] * shorten
@@ -191,15 +196,22 @@ def _clipped(point: Vectors, other: Vectors) -> Vectors:
     return left, up, jnp.maximum(depth, NEAR_M)
 
 
-def _whitened(point: Vectors, covariance: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Directions in standard deviations of their own depth."""
-    constant, linear, square = covariance
+def _projected(point: Vectors) -> tuple[tuple[Array, Array], Array]:
+    """Tangents to the left and up, and one over the depth, 1/m."""
     near = 1 / point[2]
+    return (point[0] * near, point[1] * near), near
+
+
+def _whitened(
+    near: Array, covariance: tuple[Array, Array, Array], *points: tuple[Array, Array]
+) -> tuple[tuple[Array, Array], ...]:
+    """Tangents in standard deviations, of what lies at one over the depth."""
+    constant, linear, square = covariance
     xx, xy, yy = (constant[i] + near * (linear[i] + near * square[i]) for i in ((0, 0), (0, 1), (1, 1)))
     first = jax.lax.rsqrt(xx)
     mixed = xy * first
-    x = point[0] * near * first
-    return x, (point[1] * near - mixed * x) * jax.lax.rsqrt(yy - mixed**2)
+    second = jax.lax.rsqrt(yy - mixed**2)
+    return tuple((x * first, (y - mixed * (x * first)) * second) for x, y in points)
 
 
 def _gaussian_edge(h: Array, a: Array, b: Array) -> Array:

@@ -97,8 +97,11 @@ class Objects(eqx.Module):
         face = _padded(np.array([row for row, _ in faces]).reshape(-1, 9))
         sphere = _padded(np.array(spheres).reshape(-1, 4))
         owner = np.concatenate([_padded(np.array(face_owner, int)), _padded(np.array(sphere_owner, int))])
+        corner, right, down = (as_float(face[:, i : i + 3]) for i in (0, 3, 6))
         shapes = Shapes(
-            *(as_float(face[:, 3 * i : 3 * i + 3]) for i in range(3)),
+            corner,
+            right,
+            down,
             jnp.asarray(_padded(np.array([solid for _, solid in faces], bool))),
             as_float(sphere[:, :3]),
             as_float(sphere[:, 3]),
