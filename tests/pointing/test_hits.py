@@ -114,6 +114,30 @@ def angle(direction, gap):
     return np.arctan2(np.linalg.norm(np.cross(direction, gap)), gap @ direction)
 
 
+def by_minimiser(shape, origin, direction):
+    """Angle and distance of a rectangle from a ray, and its distance from the ray's origin."""
+    place = face_points(shape)
+    grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 9)]), axis=-1).reshape(-1, 2)
+
+    def of_angle(x):
+        return angle(direction, place(x) - origin)
+
+    def least(cost, start):
+        return minimize(cost, start, bounds=[(0, 1)] * 2, method="SLSQP", tol=1e-14).fun
+
+    starts = sorted(grid.tolist(), key=of_angle)[:2]
+    reach = max(1e-9, *((place(x) - origin) @ direction for x in grid))
+    across = minimize(  # convex in the two fractions and the way along the ray
+        lambda x: np.sum((place(x[:2]) - origin - x[2] * direction) ** 2),
+        [0.5, 0.5, reach / 2],
+        bounds=[(0, 1), (0, 1), (0, reach)],
+        method="L-BFGS-B",
+        options={"ftol": 1e-15, "gtol": 1e-12},
+    )
+    away = least(lambda x: np.sum((place(x) - origin) ** 2), [0.5, 0.5])
+    return min(least(of_angle, start) for start in starts), np.sqrt(across.fun), np.sqrt(away)
+
+
 @given(st.integers(0, 10**6))
 @settings(max_examples=2, deadline=None)
 def test_nearest_rectangles_are_those_of_a_minimiser(seed):
@@ -121,36 +145,10 @@ def test_nearest_rectangles_are_those_of_a_minimiser(seed):
     objects, lines = Objects.of(listed), rays(seed, 8)
     by_angle, by_distance = nearest(lines, objects, most=6), nearest(lines, objects, "distance", most=6)
     spot = nearest_to_points(lines.origin, objects, most=6)
-    grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 9)]), axis=-1).reshape(-1, 2)
     for g, (origin, direction) in enumerate(zip(np.asarray(lines.origin), np.asarray(lines.direction))):
-        angles, distances, away = [], [], []
-        for thing in listed:
-            place = face_points(thing.shape)
-
-            def least(cost, start):
-                return minimize(cost, start, bounds=[(0, 1)] * len(start), method="SLSQP", tol=1e-14).fun
-
-            def of_angle(x, place=place):
-                return angle(direction, place(x) - origin)
-
-            starts = sorted(grid.tolist(), key=of_angle)[:2]
-            angles.append(min(least(of_angle, start) for start in starts))
-            squared = [(place(x) - origin) @ direction for x in grid]
-            reach = max(squared) if max(squared) > 0 else 0.0
-            # The distance from a half line is convex in the two fractions and the way along it.
-            bounds = [(0, 1), (0, 1), (0, max(reach, 1e-9))]
-            found = minimize(
-                lambda x, place=place: np.sum((place(x[:2]) - origin - x[2] * direction) ** 2),
-                [0.5, 0.5, reach / 2],
-                bounds=bounds,
-                method="L-BFGS-B",
-                options={"ftol": 1e-15, "gtol": 1e-12},
-            )
-            distances.append(np.sqrt(found.fun))
-            away.append(np.sqrt(least(lambda x, place=place: np.sum((place(x) - origin) ** 2), [0.5, 0.5])))
-        ahead = np.array(angles) < np.pi / 2
-        assert np.asarray(by_angle.valid[g]).sum() == ahead.sum()
-        for ours, oracle in ((by_angle, np.array(angles)), (by_distance, np.array(distances))):
+        angles, across, away = np.transpose([by_minimiser(thing.shape, origin, direction) for thing in listed])
+        ahead = angles < np.pi / 2
+        for ours, oracle in ((by_angle, angles), (by_distance, across)):
             some = np.asarray(ours.valid[g])
             np.testing.assert_allclose(np.asarray(ours.measure[g])[some], np.sort(oracle[ahead]), atol=2e-4)
         np.testing.assert_allclose(spot.measure[g], np.sort(away), atol=2e-4)

@@ -58,9 +58,9 @@ def test_masses_are_those_of_monte_carlo_for_every_shape(freedom):
     rng = np.random.default_rng(5)
     mixed = rng.normal(size=(6, 6)) * np.repeat([2e-3, 8e-3], 3)[:, None]
     covariance = mixed @ mixed.T
-    count = 200_000
+    count = 100_000
     worst = 0.0
-    for k in (2, 9, 20, 22, 26, 28):
+    for k in (2, 20, 26):
         shape = listed[k].shape
         middle = np.mean(shape.corners, axis=0) if isinstance(shape, Rectangle) else shape.center
         direction = (middle - TIP) / np.linalg.norm(middle - TIP)
@@ -71,7 +71,7 @@ def test_masses_are_those_of_monte_carlo_for_every_shape(freedom):
             error /= np.sqrt(rng.chisquare(freedom, count) / freedom)[:, None]
         hits = met_share(objects, TIP + error[:, :3], direction + error[:, 3:])
         worst = max(worst, np.abs(hits - np.asarray(found)).max())
-    assert worst < 4e-3  # three deviations of the sampling, and what the origin's error leaves
+    assert worst < 5e-3  # three deviations of the sampling, and what the origin's error leaves
 
 
 def met_share(objects, origins, directions):
@@ -116,20 +116,21 @@ def test_solid_angles():
 
 def test_derivatives_of_probabilities():
     objects = room(8)
-
-    def chance(direction, sigma):
-        one = PointingLine(Ray(jnp.asarray(TIP), direction), jnp.eye(6) * 1e-4)
-        return posterior(one, objects, Behaviour(sigma, sigma)).probability[0]
-
     middle = np.asarray(things(8)[0].shape.corners).mean(axis=0) - TIP
-    direction = middle / np.linalg.norm(middle)
-    slope, by_sigma = jax.grad(chance, argnums=(0, 1))(jnp.asarray(direction), 0.07)
-    for axis in range(3):
-        step = 1e-5 * np.eye(3)[axis]
-        expected = (chance(direction + step, 0.07) - chance(direction - step, 0.07)) / 2e-5
-        np.testing.assert_allclose(slope[axis], expected, rtol=1e-3, atol=1e-4)
-    expected = (chance(direction, 0.07 + 1e-5) - chance(direction, 0.07 - 1e-5)) / 2e-5
-    np.testing.assert_allclose(by_sigma, expected, rtol=1e-3, atol=1e-4)
+    start = np.append(middle / np.linalg.norm(middle), [0.07, 0.05])
+    step = np.array([0.3, -0.5, 0.8, 0.2, 0.4])
+
+    @jit
+    def chances(x):
+        one = PointingLine(Ray(jnp.asarray(TIP), x[:3]), jnp.eye(6) * 1e-4)
+        found = posterior(one, objects, Behaviour(x[3], x[4]))
+        return found.probability, found.nothing, found.mass
+
+    slopes = jax.jvp(chances, (jnp.asarray(start),), (jnp.asarray(step),))[1]
+    there, back = chances(start + 1e-6 * step), chances(start - 1e-6 * step)
+    for slope, up, down in zip(slopes, there, back):
+        np.testing.assert_allclose(slope, (up - down) / 2e-6, rtol=1e-4, atol=1e-6)
+        assert np.abs(slope).max() > 1e-3
 
 
 def test_probabilities_are_kept_by_people_who_behave_as_assumed():
@@ -185,7 +186,8 @@ def test_large_objects_are_meant_more_often_where_the_prior_says_so():
         posterior(line(), objects, Behaviour(hidden=1.0, prior=prior)).probability for prior in ("equal", "size")
     )
     assert alike[0] > alike[1]
-    np.testing.assert_allclose(by_size[0] / by_size[1], 0.0030, atol=2e-3)
+    shares = posterior(line(), objects, Behaviour(hidden=1.0)).mass
+    np.testing.assert_allclose(by_size[0] / by_size[1], shares[0] / shares[1], rtol=1e-9)
 
 
 def test_words_help():
