@@ -10,8 +10,8 @@ import pytest
 
 from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
-from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.geometry.line import Ray
+from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.tracks import save_tracks
 from jaxpoint.pointing.line import PointingLine
 
