@@ -11,7 +11,7 @@ import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (
-    ("errors", "compilation"),
+    ("errors", "compilation", "cores"),
     ("config",),
     ("geometry",),
     ("camera",),

@@ -10,8 +10,10 @@ import pytest
 
 from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
+from jaxpoint.geometry.line import Ray
 from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.tracks import save_tracks
+from jaxpoint.pointing.line import PointingLine
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 
@@ -21,7 +23,7 @@ def blocks(language: str) -> list[str]:
 
 
 COMMANDS = sorted(
-    set(re.findall(r"jaxpoint (?:detect|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README))
+    set(re.findall(r"jaxpoint (?:detect|objects|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README))
 )
 
 
@@ -48,7 +50,9 @@ def test_the_python_example_runs(tmp_path, monkeypatch, solved_room, capsys):
     save_tracks(tmp_path / "tracks.npz", calibration.tracks)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("jaxpoint.calibration.selfcal.calibrate", lambda tracks: calibration)
-    example, uncertainty, _, devices = blocks("python")
+    example, uncertainty, devices = (
+        block for block in blocks("python") if "chain_of" not in block and "read_objects" not in block
+    )
     names: dict = {}
     exec(example, names)
     for line in re.findall(r"^from jaxpoint.*", uncertainty + devices, re.MULTILINE):
@@ -75,6 +79,19 @@ def test_the_derivatives_shown_are_there(free_room, capsys):
     assert names["by"].light.shape == calibration.tracks.pixels.shape
     assert all(np.abs(part).max() > 0 for part in (names["by"].light, names["by"].landmarks, names["by"].clicks))
     assert capsys.readouterr().out
+
+
+def test_the_objects_shown_are_pointed_at(tmp_path, monkeypatch):
+    (example,) = (block for block in blocks("python") if "read_objects" in block)
+    (tmp_path / "session").mkdir()
+    corners = ",".join(f"{corner}_{axis}" for corner in ("lt", "rt", "lb", "rb") for axis in "xyz")
+    (tmp_path / "session/objects.csv").write_text(f"name,unit,{corners}\nposter,m,1,0,2,2,0,2,1,0,1,2,0,1\n")
+    monkeypatch.chdir(tmp_path)
+    line = PointingLine(Ray.through(np.array([1.5, 3.0, 1.4]), np.array([1.5, 0.0, 1.5])), 1e-4 * np.eye(6))
+    names = {"lines": line}
+    exec(example, names)
+    assert bool(names["hits"].valid[0])
+    assert float(names["answer"].probability[0]) > 0.5
 
 
 def test_the_calibration_shown_can_be_read(tmp_path):

@@ -30,6 +30,9 @@ from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
+from jaxpoint.commands.objects_add import ObjectsAdd
+from jaxpoint.commands.objects_check import ObjectsCheck
+from jaxpoint.commands.objects_list import ObjectsList
 from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.validate import Validate
@@ -37,10 +40,26 @@ from jaxpoint.config import RoomConfig, checked, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
 Command = (
-    DetectLed | DetectPerson | DetectMarker | Check | Calibrate | Align | Validate | Diff | Doctor | Demo | Simulate
+    DetectLed
+    | DetectPerson
+    | DetectMarker
+    | ObjectsAdd
+    | ObjectsList
+    | ObjectsCheck
+    | Check
+    | Calibrate
+    | Align
+    | Validate
+    | Diff
+    | Doctor
+    | Demo
+    | Simulate
 )
 COMMANDS = get_args(Command)
-GROUPS = {"detect": "Find something in the images of every camera."}
+GROUPS = {
+    "detect": "Find something in the images of every camera.",
+    "objects": "Keep the database of objects that can be pointed at.",
+}
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 
 In this order: detect, check, calibrate, align, validate; diff tells later whether a camera was touched. Without a

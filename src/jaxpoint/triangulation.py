@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from enum import IntFlag
 from functools import partial
 from typing import NamedTuple
@@ -26,13 +23,13 @@ from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.distortion import AbstractDistortion, Brown, brown_slopes, undistort_rows
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
+from jaxpoint.cores import by_all_cores
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
 from jaxpoint.geometry.linalg import Symmetric, Vector, symmetric_full, symmetric_inverse, symmetric_times
 
 MIN_PARALLAX = math.radians(2.0)
 _BLOCK = 6144  # pixels that are worked on at once on a CPU, so that all about them stays in its cache
 _PART = 2**14  # points that one core of a CPU works on before it takes others
-_ALIGNMENT = 64  # bytes; what JAX wants of memory that it did not make itself
 _LARGE = 2**20  # points in a block elsewhere
 _DAMPING = 1e-6  # of Levenberg-Marquardt at the start, relative to the diagonal
 _SETTLED = 1e-10  # px^2; a step that promises to lower a cost by less is taken unseen, and is the last
@@ -136,43 +133,11 @@ def triangulate(
 
     if count > size:
         pixels, visible = np.asarray(pixels), np.asarray(visible)
-        result = _by_all_cores(part, count, size)
+        result = by_all_cores(part, count, size)
     else:
         result = part(0)
         result = result if count == size else jax.tree.map(lambda leaf: leaf[:count], result)
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
-
-
-def _by_all_cores(part: Callable[[int], Triangulation], count: int, size: int) -> Triangulation:
-    """The first `count` points of all parts, every core of the CPU at work on one of them at a time.
-
-    XLA runs one program after the other, and one that loops over blocks on one core. What a part gives is copied
-    where it belongs at once: the memory of parts is used again, and only the result's is new.
-    """
-    first = part(0)  # compiled before many ask for it
-    whole = jax.tree.map(lambda leaf: _aligned((count, *leaf.shape[1:]), np.dtype(leaf.dtype)), first)
-    wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # may be so in this thread alone
-
-    def keep(start: int, found: Triangulation) -> None:
-        for kept, leaf in zip(jax.tree.leaves(whole), jax.tree.leaves(found), strict=True):
-            kept[start : start + size] = np.asarray(leaf)[: count - start]
-
-    def work(start: int) -> None:
-        with jax.enable_x64(wide):
-            keep(start, part(start))
-
-    keep(0, first)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        list(pool.map(work, range(size, count, size)))
-    return jax.tree.map(jax.dlpack.from_dlpack, whole)
-
-
-def _aligned(shape: tuple[int, ...], kind: np.dtype) -> np.ndarray:
-    """Memory that JAX can take over as it is."""
-    size = math.prod(shape) * kind.itemsize
-    raw = np.empty(size + _ALIGNMENT, np.uint8)
-    start = -raw.ctypes.data % _ALIGNMENT
-    return raw[start : start + size].view(kind).reshape(shape)
 
 
 def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:

@@ -1,0 +1,207 @@
+"""How probable each object is as the one that is meant, and that none is.
+
+For one line the distribution of its direction is its own covariance, origin included, plus the spread of people who
+point. `mass` is the share of it on each object. Whoever means an object aims somewhere on it, so the likelihood of a
+line is the mean of that distribution over the object: its mass over the solid angle that it fills. Times the prior of
+the object (all are alike before the line is seen) this is Bayes' rule; with `prior="size"` large objects are meant as
+much more often as they are larger, and the likelihood times the prior is the mass itself. Whoever means nothing points
+anywhere: the share of the distribution that no object takes, over half a sphere.
+
+Objects behind others may still be meant: the hidden part of their mass counts `hidden` times as much.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.pointing.hits import face_fractions, meet, nearest_first
+from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.mass import NEAR_M, across, masses, solid_angles
+from jaxpoint.pointing.objects import Objects, Shapes
+
+AMBIGUOUS = 3.0
+_NEAR = 16  # faces that are looked at for one line: the nearest by angle; the others count as missed
+_DIRECTIONS = 16  # by which it is told how much of an object is hidden
+_TOUCH = 1e-9  # relative distance within which two faces hide nothing of each other
+
+
+class Behaviour(eqx.Module):
+    """How people's lines lie about what they mean; the defaults are no measurement of anybody."""
+
+    sigma_azimuth: Float[Array, ""] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad, across, level
+    sigma_elevation: Float[Array, ""] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad
+    freedom: int | None = eqx.field(static=True, default=4)  # of Student's t, even; None: Gaussian
+    nothing: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)  # prior that no object is meant
+    hidden: Float[Array, ""] = eqx.field(converter=as_float, default=0.3)  # weight of what another object hides
+    prior: Literal["equal", "size"] = eqx.field(static=True, default="equal")
+
+    @property
+    def spread(self) -> Float[Array, "2 2"]:
+        """Covariance to the left and up, rad^2."""
+        return jnp.diag(jnp.stack([self.sigma_azimuth, self.sigma_elevation]) ** 2)
+
+
+class Posterior(eqx.Module):
+    """Of each line: probabilities that sum to 1 over the objects and `nothing`."""
+
+    probability: Float[Array, "*batch K"]
+    nothing: Float[Array, "*batch"]
+    mass: Float[Array, "*batch K"]  # share of the line's distribution on each object, whatever stands before it
+    visible: Float[Array, "*batch K"]  # share of that mass that no other object hides, 0..1
+    ambiguous: Bool[Array, "*batch"]  # the best two answers, nothing among them, are within a factor of AMBIGUOUS
+
+    @property
+    def order(self) -> Int[Array, "*batch K"]:
+        """The objects, likeliest first."""
+        return jnp.argsort(-self.probability, axis=-1)
+
+
+def posterior(
+    lines: PointingLine,
+    objects: Objects,
+    behaviour: Behaviour | None = None,
+    prior: Float[AnyArray, " K"] | None = None,
+    evidence: Float[AnyArray, "*#batch K"] | None = None,
+) -> Posterior:
+    """Probability of each object and of nothing, given where lines point.
+
+    Take derivatives forward (`jax.jvp`, `jax.jacfwd`), which is tested; reverse ones disagreed with finite differences.
+
+    Args:
+        lines: any leading axes; unit directions, corrected for bias.
+        behaviour: spread of the person who points, and the priors of being hidden and of nothing.
+        prior: relative weights of the objects, all alike if left out.
+        evidence: likelihood factors of what else is known, as from words.
+    """
+    behaviour = Behaviour() if behaviour is None else behaviour
+    batch = lines.ray.origin.shape[:-1]
+    dtype = lines.ray.origin.dtype
+    weights = jnp.ones(len(objects), dtype) if prior is None else as_float(prior)
+    weights = weights / jnp.sum(weights)
+    weights = jnp.broadcast_to(weights if evidence is None else weights * as_float(evidence), (*batch, len(objects)))
+    # The covariance as nine rows more: over_lines wants a last axis alone.
+    ask = partial(_posterior, objects.shapes, behaviour)
+    return over_lines(ask, lines.ray.origin, lines.ray.direction, lines.covariance, weights)
+
+
+@jit
+def _posterior(
+    shapes: Shapes,
+    behaviour: Behaviour,
+    origin: Float[Array, "G 3"],
+    direction: Float[Array, "G 3"],
+    covariance: Float[Array, "G 6 6"],
+    weights: Float[Array, "G K"],
+) -> Posterior:
+    """Of lines with one leading axis."""
+
+    def one(origin: Array, direction: Array, covariance: Array, weights: Array, index: Array, ahead: Array):
+        few = _chosen(shapes, index, ahead)
+        return _of_line(few, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+
+    bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
+    index, count = nearest_first(bounds, min(_NEAR, bounds.shape[1]))
+    ahead = jnp.arange(index.shape[1])[None] < count[:, None]
+    return jax.vmap(one)(origin, direction, covariance, weights, index, ahead)
+
+
+def _tangent_bounds(shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, " F"]:
+    """Less than the tangent of the angle from a ray to each face, from a sphere around the face; infinite behind."""
+    middle = shapes.corner + (shapes.right + shapes.down) / 2
+    side2, down2 = jnp.sum(shapes.right**2, axis=1), jnp.sum(shapes.down**2, axis=1)
+    radius = jnp.sqrt(side2 + down2 + 2 * jnp.abs(jnp.sum(shapes.right * shapes.down, axis=1))) / 2
+    gap = tuple(middle[:, i] - origin[i] for i in range(3))
+    along = gap[0] * direction[0] + gap[1] * direction[1] + gap[2] * direction[2]
+    across2 = gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 - along**2
+    beside = jnp.maximum(jnp.sqrt(jnp.maximum(across2, 0.0)) - radius, 0.0)
+    ahead = (along + radius > NEAR_M) & (side2 > 0)
+    # Where a ray passes through many of the spheres, those whose middle is nearest come first.
+    order = 1e-6 * across2 / jnp.where(ahead, along + radius, 1.0) ** 2
+    return jnp.where(ahead, beside / jnp.where(ahead, along + radius, 1.0) + order, jnp.inf)
+
+
+def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -> Shapes:
+    """Some of the faces, and all spheres; a face that is not meant has no size."""
+    faces = shapes.corner.shape[0]
+    return Shapes(
+        shapes.corner[index],
+        jnp.where(ahead[:, None], shapes.right[index], 0.0),
+        jnp.where(ahead[:, None], shapes.down[index], 0.0),
+        shapes.solid[index],
+        shapes.center,
+        shapes.radius,
+        jnp.concatenate([shapes.owner[:faces][index], shapes.owner[faces:]]),
+    )
+
+
+def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]) -> Posterior:
+    def by_object(parts: Float[Array, " F+S"]) -> Float[Array, " K"]:
+        return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
+
+    parts = masses(line, shapes, behaviour.spread, behaviour.freedom)
+    seen = _visible(line, shapes, behaviour)
+    angles = solid_angles(line.ray.origin, shapes)
+    mass, shown, angle = by_object(parts), by_object(parts * seen), by_object(angles)
+    counted = shown + behaviour.hidden * (mass - shown)
+    none = jnp.clip(1 - jnp.sum(shown), 0.0, 1.0) / (2 * jnp.pi)
+    if behaviour.prior == "equal":
+        counted = counted / jnp.where(angle > 0, angle, 1.0)
+    else:
+        none = none * 2 * jnp.pi
+    scores, nothing = (1 - behaviour.nothing) * weights * counted, behaviour.nothing * none
+    total = jnp.sum(scores) + nothing
+    safe = jnp.where(total > 0, total, 1.0)
+    chance = scores / safe
+    rest = jnp.where(total > 0, nothing / safe, 1.0)
+    best = jnp.argmax(chance)
+    second = jnp.max(jnp.where(jnp.arange(len(chance)) == best, 0.0, chance))
+    first = jnp.max(chance)
+    ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
+    return Posterior(chance, rest, mass, jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0), ambiguous)
+
+
+def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " F+S"]:
+    """How much of each part's share of the distribution no other part hides, 0..1.
+
+    Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
+    line in its plane, so that small and far ones are asked too.
+    """
+    base = across(line.ray.direction)
+    scale = jnp.linalg.norm(base @ line.direction_covariance @ base.T + behaviour.spread) ** 0.5
+    drawn = jax.lax.stop_gradient(scale * jnp.asarray(_normal_points(), base.dtype) @ base)
+    towards = jnp.concatenate([line.ray.direction[None] + drawn, _nearest_places(line.ray, shapes)])
+    distance = jax.vmap(lambda d: meet(shapes, Ray(line.ray.origin, d))[0])(normalised(towards))
+    hit = jnp.isfinite(distance)
+    seen = hit & (distance <= (1 + _TOUCH) * jnp.min(distance, axis=1, keepdims=True))
+    # Of the directions to places of parts, each tells of its own part alone.
+    own = jnp.concatenate([jnp.ones((len(drawn), distance.shape[1])), jnp.eye(distance.shape[1])])
+    hits, sights = jnp.sum(own * hit, axis=0), jnp.sum(own * seen, axis=0)
+    return jnp.where(hits > 0, sights / jnp.maximum(hits, 1), 1.0)
+
+
+def _nearest_places(ray: Ray, shapes: Shapes) -> Float[Array, "F+S 3"]:
+    """Directions from the origin to where the ray meets each part's plane, held within the part, or to its middle."""
+    plain = eqx.tree_at(lambda s: s.solid, shapes, jnp.zeros_like(shapes.solid))
+    _, u, v, ahead = face_fractions(plain, ray.origin, ray.direction)
+    u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
+    on_faces = shapes.corner + u[:, None] * shapes.right + v[:, None] * shapes.down
+    return jnp.concatenate([on_faces, shapes.center]) - ray.origin[None]
+
+
+def _normal_points() -> np.ndarray:
+    """Places spread like a standard normal distribution, evenly: a spiral by the golden angle."""
+    place = np.arange(_DIRECTIONS)
+    radius = np.sqrt(-2 * np.log((place + 0.5) / _DIRECTIONS))
+    turn = np.pi * (3 - np.sqrt(5)) * place
+    return radius[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)

@@ -1,0 +1,66 @@
+"""The room as a box: where pointing at nothing ends (thesis 7.3)."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.arrays import as_float
+from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.objects import Objects
+
+MARGIN_M = 0.5
+SURFACES = (
+    "the wall at the lowest x",
+    "the wall at the lowest y",
+    "the floor",
+    "the wall at the highest x",
+    "the wall at the highest y",
+    "the ceiling",
+)
+
+
+class Room(eqx.Module):
+    """An upright box with walls along the axes."""
+
+    low: Float[Array, "3"] = eqx.field(converter=as_float)  # m
+    high: Float[Array, "3"] = eqx.field(converter=as_float)  # m
+
+    @staticmethod
+    def around(objects: Objects, margin_m: float = MARGIN_M) -> Room:
+        """A guess where nobody gave the room's size: all objects, and a margin."""
+        low, high = objects.bounds
+        return Room(low - margin_m, high + margin_m)
+
+
+class RoomPoint(eqx.Module):
+    """Where rays end on the room's surfaces."""
+
+    point: Float[Array, "*batch 3"]  # m
+    distance: Float[Array, "*batch"]  # m
+    surface: Int[Array, "*batch"]  # place in SURFACES
+    inside: Bool[Array, "*batch"]  # whether the ray starts within the room; else nothing of the above is meant
+
+
+def end_in_room(rays: Ray, room: Room) -> RoomPoint:
+    """Where rays from within the room end on its walls, floor or ceiling."""
+    return over_lines(partial(_end_in_room, room), rays)
+
+
+@jit
+def _end_in_room(room: Room, rays: Ray) -> RoomPoint:
+    def one(ray: Ray) -> RoomPoint:
+        moves = jnp.abs(ray.direction) > 1e-12
+        up = ray.direction > 0
+        reach = (jnp.where(up, room.high, room.low) - ray.origin) / jnp.where(moves, ray.direction, 1.0)
+        axis = jnp.argmin(jnp.where(moves, reach, jnp.inf))
+        inside = jnp.all((ray.origin >= room.low) & (ray.origin <= room.high))
+        return RoomPoint(ray.at(reach[axis]), reach[axis], axis + 3 * up[axis], inside)
+
+    return jax.vmap(one)(rays)

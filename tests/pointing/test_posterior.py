@@ -1,0 +1,204 @@
+"""Masses against Monte Carlo and scipy, probabilities against what they promise, words."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from rooms import room, things
+from scipy.stats import multivariate_normal, multivariate_t
+
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.mass import across, masses, solid_angles
+from jaxpoint.pointing.objects import Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.posterior import Behaviour, posterior
+from jaxpoint.pointing.words import words_evidence
+
+TIP = np.array([3.0, 2.5, 1.3])
+AHEAD = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
+SPREAD = np.deg2rad([4.0, 3.0])
+MASSES = jit(masses, static_argnames="freedom")
+
+
+def line(covariance=None, direction=AHEAD) -> PointingLine:
+    return PointingLine(Ray(TIP, direction), np.zeros((6, 6)) if covariance is None else covariance)
+
+
+def screen(middle, right, down) -> Rectangle:
+    corner = np.asarray(middle) - (np.asarray(right) + np.asarray(down)) / 2
+    return Rectangle(np.stack([corner, corner + right, corner + down, corner + right + down]))
+
+
+def facing(left, up, width, height, depth=2.0) -> Rectangle:
+    """A rectangle square to the line, given by tangents."""
+    to_left, to_up = np.asarray(across(jnp.asarray(AHEAD)))
+    middle = TIP + depth * (AHEAD + left * to_left + up * to_up)
+    return screen(middle, -depth * width * to_left, -depth * height * to_up)
+
+
+@pytest.mark.parametrize("freedom", [None, 2, 4, 10])
+def test_masses_are_scipys(freedom):
+    drawn = [(0.0, 0.0, 0.1, 0.2), (0.05, -0.03, 0.04, 0.02), (0.2, 0.1, 0.3, 0.25), (-0.03, 0.0, 2.0, 0.01)]
+    shapes = Objects.of([Thing(str(i), facing(*one)) for i, one in enumerate(drawn)]).shapes
+    found = MASSES(line(), shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom)
+    for mass, (left, up, width, height) in zip(found, drawn):
+        low, high = np.array([left - width / 2, up - height / 2]), np.array([left + width / 2, up + height / 2])
+        if freedom is None:
+            expected = multivariate_normal(mean=np.zeros(2), cov=SPREAD**2).cdf(high, lower_limit=low)
+        else:
+            law = multivariate_t(shape=np.diag(SPREAD**2), df=freedom)
+            expected = law.cdf(high, lower_limit=low, random_state=np.random.default_rng(0))
+        assert float(mass) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("freedom", [None, 4])
+def test_masses_are_those_of_monte_carlo_for_every_shape(freedom):
+    listed, objects = things(4, rectangles=20, boxes=6, spheres=6), room(4, rectangles=20, boxes=6, spheres=6)
+    rng = np.random.default_rng(5)
+    mixed = rng.normal(size=(6, 6)) * np.repeat([2e-3, 8e-3], 3)[:, None]
+    covariance = mixed @ mixed.T
+    count = 100_000
+    worst = 0.0
+    for k in (2, 20, 26):
+        shape = listed[k].shape
+        middle = np.mean(shape.corners, axis=0) if isinstance(shape, Rectangle) else shape.center
+        direction = (middle - TIP) / np.linalg.norm(middle - TIP)
+        found = MASSES(line(covariance, direction), objects.shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom)
+        error = rng.normal(size=(count, 6)) @ mixed.T
+        error[:, 3:] += rng.normal(size=(count, 2)) * SPREAD @ np.asarray(across(jnp.asarray(direction)))
+        if freedom is not None:
+            error /= np.sqrt(rng.chisquare(freedom, count) / freedom)[:, None]
+        hits = met_share(objects, TIP + error[:, :3], direction + error[:, 3:])
+        worst = max(worst, np.abs(hits - np.asarray(found)).max())
+    assert worst < 5e-3  # three deviations of the sampling, and what the origin's error leaves
+
+
+def met_share(objects, origins, directions):
+    """The share of rays that meet each part, in numpy."""
+    s = jax.tree.map(np.asarray, objects.shapes)
+    shares = []
+    for corner, right, down, solid in zip(s.corner, s.right, s.down, s.solid):
+        normal = np.cross(down, right)
+        closing = directions @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = (corner - origins) @ normal / closing
+            place = origins + reach[:, None] * directions - corner
+            u, v = place @ right / (right @ right), place @ down / (down @ down)
+            ahead = (reach > 0) & ((closing < 0) | ~solid)
+            shares.append(np.mean(ahead & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)))
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    for center, radius in zip(s.center, s.radius):
+        gap = center - origins
+        along = np.sum(gap * unit, axis=1)
+        shares.append(np.mean((along > 0) & (np.sum(gap**2, axis=1) - along**2 < radius**2)))
+    return np.array(shares)
+
+
+def test_a_table_around_the_tip_has_the_mass_of_its_part_ahead():
+    table = Objects.of([Thing("table", screen(TIP - [0, 0, 0.1], [3.0, 0, 0], [0, 2.0, 0]))])
+    covariance = np.zeros((6, 6))
+    down = np.array([1.0, 0, -0.3]) / np.hypot(1, 0.3)
+    found = MASSES(line(covariance, down), table.shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=None)
+    rng = np.random.default_rng(1)
+    error = rng.normal(size=(200_000, 2)) * SPREAD @ np.asarray(across(jnp.asarray(down)))
+    hits = met_share(table, np.tile(TIP, (len(error), 1)), down + error)
+    assert float(found[0]) == pytest.approx(hits[0], abs=3e-3)
+    assert 0.5 < hits[0] < 1
+
+
+def test_solid_angles():
+    listed = [Thing("wall", facing(0, 0, 0.02, 0.01, 3.0)), Thing("ball", Sphere(TIP + 2 * AHEAD, 1.0))]
+    found = solid_angles(jnp.asarray(TIP), Objects.of(listed).shapes)
+    assert float(found[0]) == pytest.approx(2e-4, rel=1e-3)
+    assert float(found[8]) == pytest.approx(2 * np.pi * (1 - np.sqrt(3) / 2))
+
+
+def test_derivatives_of_probabilities():
+    objects = room(8)
+    middle = np.asarray(things(8)[0].shape.corners).mean(axis=0) - TIP
+    start = np.append(middle / np.linalg.norm(middle), [0.07, 0.05])
+    step = np.array([0.3, -0.5, 0.8, 0.2, 0.4])
+
+    @jit
+    def chances(x):
+        one = PointingLine(Ray(jnp.asarray(TIP), x[:3]), jnp.eye(6) * 1e-4)
+        found = posterior(one, objects, Behaviour(x[3], x[4]))
+        return found.probability, found.nothing, found.mass
+
+    slopes = jax.jvp(chances, (jnp.asarray(start),), (jnp.asarray(step),))[1]
+    there, back = chances(start + 1e-6 * step), chances(start - 1e-6 * step)
+    for slope, up, down in zip(slopes, there, back):
+        np.testing.assert_allclose(slope, (up - down) / 2e-6, rtol=1e-4, atol=1e-6)
+        assert np.abs(slope).max() > 1e-3
+
+
+def test_probabilities_are_kept_by_people_who_behave_as_assumed():
+    """Of the answers given with a probability p, p are right: whoever is simulated means any object, or none."""
+    rng = np.random.default_rng(2)
+    listed = [Thing(str(i), facing(*rng.uniform(-0.5, 0.5, 2), *rng.uniform(0.04, 0.3, 2))) for i in range(12)]
+    behaviour = Behaviour(*SPREAD, freedom=4, nothing=0.1, hidden=1.0)
+    count = 3000
+    meant = rng.integers(0, 12, count)
+    none = rng.random(count) < 0.1
+    target = np.stack([listed[k].shape.corners for k in meant])
+    u, v = rng.random((2, count, 1))
+    aim = target[:, 0] + u * (target[:, 1] - target[:, 0]) + v * (target[:, 2] - target[:, 0]) - TIP
+    free = rng.normal(size=(count, 3))
+    free *= np.sign(free @ AHEAD)[:, None]
+    aim = np.where(none[:, None], free, aim)
+    aim /= np.linalg.norm(aim, axis=1, keepdims=True)
+    error = rng.normal(size=(count, 2)) * SPREAD / np.sqrt(rng.chisquare(4, (count, 1)) / 4)
+    shown = aim + np.einsum("gi,gij->gj", error, np.asarray(jax.vmap(across)(jnp.asarray(aim))))
+    shown /= np.linalg.norm(shown, axis=1, keepdims=True)
+    lines = PointingLine(Ray(np.tile(TIP, (count, 1)), shown), np.zeros((count, 6, 6)))
+    found = posterior(lines, Objects.of(listed), behaviour)
+    chances = np.concatenate([np.asarray(found.probability), np.asarray(found.nothing)[:, None]], axis=1)
+    np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
+    right = chances.argmax(axis=1) == np.where(none, 12, meant)
+    best = chances.max(axis=1)
+    bins = np.clip((best * 10).astype(int), 0, 9)
+    gaps = [abs(right[bins == b].sum() - best[bins == b].sum()) for b in range(10)]
+    assert sum(gaps) / count < 0.05
+    assert best.min() < 0.5 < 0.9 < best.max()  # all kinds of answers are among them
+
+
+def test_what_is_hidden_counts_less_and_doubt_is_told():
+    listed = [Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0, 0, 0.2, 0.2, 2.0))]
+    objects = Objects.of(listed)
+    found = posterior(line(), objects, Behaviour(hidden=0.1, nothing=0.01))
+    np.testing.assert_allclose(found.visible, [1.0, 0.0], atol=1e-12)
+    assert float(found.probability[0] / found.probability[1]) == pytest.approx(10, rel=1e-6)
+    assert not bool(found.ambiguous)
+    alike = posterior(line(), objects, Behaviour(hidden=0.5, nothing=0.01))
+    assert bool(alike.ambiguous)
+    assert alike.order.tolist() == [0, 1]
+    weighed = posterior(line(), objects, Behaviour(hidden=0.5, nothing=0.01), prior=np.array([1.0, 10.0]))
+    assert weighed.order.tolist() == [1, 0]
+    beyond = posterior(line(direction=-AHEAD), objects, Behaviour())
+    assert float(beyond.nothing) > 0.99
+
+
+def test_large_objects_are_meant_more_often_where_the_prior_says_so():
+    listed = [Thing("small", facing(0, 0, 0.02, 0.02, 1.0)), Thing("large", facing(0, 0, 0.4, 0.4, 1.01))]
+    objects = Objects.of(listed)
+    alike, by_size = (
+        posterior(line(), objects, Behaviour(hidden=1.0, prior=prior)).probability for prior in ("equal", "size")
+    )
+    assert alike[0] > alike[1]
+    shares = posterior(line(), objects, Behaviour(hidden=1.0)).mass
+    np.testing.assert_allclose(by_size[0] / by_size[1], shares[0] / shares[1], rtol=1e-9)
+
+
+def test_words_help():
+    listed = [
+        Thing("desk lamp", facing(0, 0, 0.1, 0.1), "lamp"),
+        Thing("poster", facing(0.05, 0, 0.1, 0.1), "", ("paper",)),
+    ]
+    objects = Objects.of(listed)
+    assert words_evidence(objects, ["give", "me", "that"]).tolist() == [1, 1]
+    assert words_evidence(objects, ["the", "Lamps", "there"], 0.2).tolist() == [1, 0.2]
+    plain = posterior(line(), objects, Behaviour())
+    told = posterior(line(), objects, Behaviour(), evidence=words_evidence(objects, ["paper"]))
+    assert plain.order[0] == 0
+    assert told.order[0] == 1
