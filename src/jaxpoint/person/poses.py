@@ -198,7 +198,7 @@ def _arm(rig: CameraRig, joints: _Joints, head: Float[np.ndarray, "3"]) -> Point
     covariance = joints.covariance * np.maximum(1.0, joints.rms)[:, None, None] ** 2
     across = (np.eye(3) - np.outer(direction, direction)) / length
     of_direction = across @ (covariance[0] + covariance[1]) @ across.T
-    counted = joints.used[:2].all(axis=0)
+    counted = joints.used[0] & joints.used[1]
     axis = LimbAxis(
         *(jnp.asarray(part) for part in (wrist, elbow, direction, of_direction, covariance[1])),
         rms=jnp.asarray(joints.rms[:2].max()),
