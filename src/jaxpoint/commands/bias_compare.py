@@ -40,12 +40,12 @@ class BiasCompare(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """One row a model."""
         from jaxpoint.io.pointings import read_pointings
-        from jaxpoint.pointing.bias.fit import KINDS, left_out
+        from jaxpoint.pointing.bias.fit import KINDS, Kind, left_out
         from jaxpoint.pointing.bias.score import score
 
         pointings = read_pointings(self.pointings)
         pointings = pointings.of_lines(self.lines) if self.lines else pointings
-        kinds = [kind for kind in KINDS if kind != "blend" or len(pointings.lines) > 1]
+        kinds: list[Kind] = [kind for kind in KINDS if kind != "blend" or len(pointings.lines) > 1]
         scores = {}
         with console.progress() as progress:
             for done, kind in enumerate(kinds):

@@ -34,8 +34,8 @@ class BiasFit(Options):
     pointings: Annotated[Path, tyro.conf.Positional]
     """Table of pointings at known targets (.csv)."""
     model: Literal["constant-elevation", "constant", "polynomial", "blend"] = "constant"
-    """The thesis's constant elevation; constant azimuth and elevation; both by the line's elevation; the first line drawn
-    towards the others."""
+    """The thesis's constant elevation; constant azimuth and elevation; both by the line's elevation; the first line
+    drawn towards the others."""
     lines: tuple[str, ...] = ()
     """Kinds of line to use, the one to be turned first; by default those of the table in its order."""
     shared: Path | None = None

@@ -154,7 +154,11 @@ def write_bias(path: StrPath, bias: Bias) -> None:
         "spread": _spread(bias.spread),
         "between": {"covariance_deg2": _rounded(bias.between * _DEG2)},
         "within": _spread(bias.within),
-        "fitted": {key: value for key, value in asdict(bias.fitted).items() if value is not None},
+        "fitted": {
+            key: round(value, 6) if isinstance(value, float) else value
+            for key, value in asdict(bias.fitted).items()
+            if value is not None
+        },
     }
     with replacing(path) as file:
         file.write(tomli_w.dumps(tables).encode())

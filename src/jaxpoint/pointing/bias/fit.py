@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import product
 from typing import Literal, get_args
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -42,8 +41,7 @@ def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, 
         InsufficientDataError: fewer than three people, no targets, or a blend without a second line.
     """
     pointings = _checked(kind, pointings)
-    chosen, misses = choose(kind, pointings, loss_deg)
-    model = jax.tree.map(lambda leaf: leaf[0], refit(kind, pointings, chosen, np.ones((1, len(pointings))), loss_deg))
+    _, model, misses = choose(kind, pointings, loss_deg)
     everyone = np.ones(len(pointings))
     middles = _middles(misses, pointings.who)
     median = float(np.rad2deg(np.median(np.hypot(*misses.T))))
@@ -92,22 +90,27 @@ def left_of_between(shared: Bias, gestures: int) -> Float[np.ndarray, "2 2"]:
 
 def choose(
     kind: Kind, pointings: Pointings, loss_deg: float | None
-) -> tuple[Int[np.ndarray, " chosen"], Float[np.ndarray, "G 2"]]:
-    """Which candidates of a kind are averaged, and by how much they miss on people who took no part, rad."""
-    candidates = _candidates(kind, len(pointings.lines))
-    people = np.arange(len(pointings.crowd))
-    without = (pointings.who[None] != people[:, None]).astype(float)
-    count = len(candidates)
-    solved = _all(kind, candidates, pointings, np.tile(without, (count, 1)), len(people), loss_deg)
-    misses = all_misses(solved, pointings).reshape(count, len(people), len(pointings), 2)
+) -> tuple[Int[np.ndarray, " chosen"], AbstractModel, Float[np.ndarray, "G 2"]]:
+    """Candidates of a kind on people left out, each in turn.
+
+    Returns:
+        Which candidates are averaged, their average fitted on everybody, and by how much lines so corrected miss on
+        people who took no part (rad, to the left and up).
+    """
+    candidates, people = _candidates(kind, len(pointings.lines)), len(pointings.crowd)
+    weights = np.ones((people + 1, len(pointings)))  # the last row is everybody
+    weights[pointings.who, np.arange(len(pointings))] = 0.0
+    solved = _all(kind, candidates, pointings, weights, loss_deg)
+    misses = all_misses(solved, pointings).reshape(len(candidates), people + 1, len(pointings), 2)
     misses = misses[:, pointings.who, np.arange(len(pointings))]
     scale = np.deg2rad(LOSS_DEG if loss_deg is None else loss_deg)
     loss = np.log1p(np.sum(misses**2, axis=2) / scale**2)
-    by_person = np.stack([loss[:, pointings.who == person].mean(axis=1) for person in people], axis=1)
+    by_person = np.stack([loss[:, pointings.who == person].mean(axis=1) for person in range(people)], axis=1)
     means = by_person.mean(axis=1)
     best = np.argmin(means)
-    near = means <= means[best] + by_person[best].std(ddof=1) / np.sqrt(len(people))
-    return np.flatnonzero(near), misses[near].mean(axis=0)
+    near = np.flatnonzero(means <= means[best] + by_person[best].std(ddof=1) / np.sqrt(people))
+    everybody = _average(jax.tree.map(lambda leaf: leaf[near * (people + 1) + people], solved))
+    return near, everybody, misses[near].mean(axis=0)
 
 
 def refit(
@@ -119,14 +122,8 @@ def refit(
 ) -> AbstractModel:
     """N models, each the average of the chosen candidates fitted under one row of weights."""
     candidates = [_candidates(kind, len(pointings.lines))[i] for i in chosen]
-    repeated = np.tile(weights, (len(candidates), 1))
-    solved = _all(kind, candidates, pointings, repeated, len(weights), loss_deg)
-    by_candidate = jax.tree.map(lambda leaf: leaf.reshape(len(candidates), len(weights), *leaf.shape[1:]), solved)
-    if not isinstance(by_candidate, Blend):
-        return jax.tree.map(lambda leaf: leaf[0], by_candidate)
-    used = by_candidate.used
-    weights_used = jnp.where(used[:, :, None], by_candidate.weights, 0.0)
-    return Blend(by_candidate.offset.mean(axis=0), weights_used.mean(axis=0), used.any(axis=0))
+    solved = _all(kind, candidates, pointings, weights, loss_deg)
+    return _average(jax.tree.map(lambda leaf: leaf.reshape(len(candidates), len(weights), *leaf.shape[1:]), solved))
 
 
 def left_out(
@@ -164,14 +161,22 @@ def _all(
     candidates: list[AbstractModel],
     pointings: Pointings,
     weights: Float[np.ndarray, "N G"],
-    each: int,
     loss_deg: float | None,
 ) -> AbstractModel:
-    """Every candidate fitted under `each` rows of weights, along one leading axis."""
-    models = jax.tree.map(lambda *leaves: jnp.repeat(jnp.stack(leaves), each, axis=0), *candidates)
+    """Every candidate fitted under every row of weights, along one leading axis: candidate by candidate."""
+    models = jax.tree.map(lambda *leaves: jnp.repeat(jnp.stack(leaves), len(weights), axis=0), *candidates)
     if kind == "none":
         return models
-    return solve(models, pointings, weights, None if loss_deg is None else float(np.deg2rad(loss_deg)))
+    rows = np.tile(weights, (len(candidates), 1))
+    return solve(models, pointings, rows, None if loss_deg is None else float(np.deg2rad(loss_deg)))
+
+
+def _average(models: AbstractModel) -> AbstractModel:
+    """The mean over the leading axis; a line that one blend leaves out has weight 0 there."""
+    if not isinstance(models, Blend):
+        return jax.tree.map(lambda leaf: leaf[0], models)
+    weights = jnp.where(models.used[..., None, :], models.weights, 0.0)
+    return Blend(models.offset.mean(axis=0), weights.mean(axis=0), models.used.any(axis=0))
 
 
 def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> Pointings:

@@ -12,8 +12,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.angles import wrapped
+from jaxpoint.geometry.arrays import AnyArray, as_float
 
 PRIOR = 0.5  # standard deviation of a blend's weight and of a polynomial's slope, before any data
 

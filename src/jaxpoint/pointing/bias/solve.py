@@ -13,7 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.arrays import AnyArray
+from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.pointing.bias.models import AbstractModel
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.spread import Spread
@@ -29,9 +29,9 @@ _UNIT = np.deg2rad(1.5)  # of a miss beside a number's distance from what it is 
 class Observed(eqx.Module):
     """Gestures as the solver takes them, padded to a power of two so that few programs are compiled."""
 
-    angles: Float[Array, "G L 2"]  # rad
-    errors: Float[Array, "G 2"]  # rad, of the first line, as it was drawn
-    level: Float[Array, " G"]  # by how much an error of azimuth counts
+    angles: Float[Array, "G L 2"] = eqx.field(converter=as_float)  # rad
+    errors: Float[Array, "G 2"] = eqx.field(converter=as_float)  # rad, of the first line, as it was drawn
+    level: Float[Array, " G"] = eqx.field(converter=as_float)  # by how much an error of azimuth counts
 
     @staticmethod
     def of(pointings: Pointings) -> Observed:

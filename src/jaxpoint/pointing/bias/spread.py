@@ -49,7 +49,7 @@ def fit_spread(misses: Float[AnyArray, "G 2"], weights: Float[AnyArray, " G"]) -
     misses, weights = as_float(misses), as_float(weights)
 
     def at(freedom: Array) -> tuple[Array, Array]:
-        def step(_: int, scale: Array) -> Array:
+        def step(_: object, scale: Array) -> Array:
             trusted = weights * (freedom + 2) / (freedom + squares(misses, scale))
             total = jnp.einsum("g,gi,gj->ij", trusted, misses, misses) / jnp.sum(weights)
             return total + _FLOOR * jnp.eye(2, dtype=misses.dtype)
