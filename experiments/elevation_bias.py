@@ -243,9 +243,9 @@ class Grid:
 
     def figures(self) -> list[tuple[Figure, str]]:
         return [
-            (self._draw_misses(), "Where lines point, seen from the fingertip: each dot a gesture, each colour a person, "
-             "the target in the middle. Corrected lines are those of people and targets that were not fitted. A few slips "
-             "lie outside."),
+            (self._draw_misses(), "Where lines point, seen from the fingertip: each dot a gesture, each colour a "
+             "person, the target in the middle. Corrected lines are those of people and targets that were not fitted. "
+             "A few slips lie outside."),
             (self._draw_reliability(), "Of the answers given with a probability, how many are right. On the diagonal "
              "probabilities are honest; the size of a dot is the number of gestures."),
         ]  # fmt: skip
@@ -468,11 +468,11 @@ def page(rows: list[Row], figures: list[tuple[Markup, str]], made: dict) -> str:
     found = {(row.line, row.model, row.left_out, row.figure): row.value for row in rows}
     median, out = "median error, deg", "person, target"
     sentence = (
-        f"The forearm's line misses by {found['forearm', 'none', '', median]:.1f} degrees in the median, most of it too "
-        f"high and to the left: an error of people and of where the marker sits. Corrected by what other people do at "
-        f"other targets {found['forearm', 'polynomial', out, median]:.1f} degrees are left; with the lines of head, "
-        f"shoulder, upper arm and hand as well {found['all', 'blend', out, median]:.1f}, and with three known targets "
-        f"of the person {found['all', 'blend, 3 personal targets', out, median]:.1f}."
+        f"The forearm's line misses by {found['forearm', 'none', '', median]:.1f} degrees in the median, most of it "
+        f"too high and to the left: an error of people and of where the marker sits. Corrected by what other people "
+        f"do at other targets {found['forearm', 'polynomial', out, median]:.1f} degrees are left; with the lines of "
+        f"head, shoulder, upper arm and hand as well {found['all', 'blend', out, median]:.1f}, and with three known "
+        f"targets of the person {found['all', 'blend, 3 personal targets', out, median]:.1f}."
     )
     return render(
         "study.html.j2",

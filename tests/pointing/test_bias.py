@@ -105,7 +105,7 @@ def test_the_room_may_be_turned(people, blend):
 def test_correct_is_differentiable(people, blend):
     bias = replace(blend, model=Personal(BENT, np.array([0.02, 0.03])))
     check_grads(
-        jax.jit(lambda directions: bias.correct(directions)),
+        bias.correct,
         (people.directions[:3],),
         order=1,
         modes=("fwd", "rev"),

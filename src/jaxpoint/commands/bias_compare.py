@@ -45,7 +45,8 @@ class BiasCompare(SeededOptions):
 
         pointings = read_pointings(self.pointings)
         pointings = pointings.of_lines(self.lines) if self.lines else pointings
-        kinds: list[Kind] = [kind for kind in KINDS if kind != "blend" or len(pointings.lines) > 1]
+        line, *others = pointings.lines
+        kinds: list[Kind] = [kind for kind in KINDS if kind != "blend" or others]
         scores = {}
         with console.progress() as progress:
             for done, kind in enumerate(kinds):
@@ -58,6 +59,6 @@ class BiasCompare(SeededOptions):
              f"{s.left_deg:+.2f}", f"{s.high_by_deg:+.2f}", s.gestures)
             for kind, s in scores.items()
         ]  # fmt: skip
-        figures = {"line": pointings.lines[0], "models": {kind: vars(s) for kind, s in scores.items()}}
-        title = f"The {pointings.lines[0]} line, corrected on {len(pointings.crowd)} people left out in turn:"
+        figures = {"line": line, "models": {kind: vars(s) for kind, s in scores.items()}}
+        title = f"The {line} line, corrected on {len(pointings.crowd)} people left out in turn:"
         return Outcome(figures, (title, *table(_HEADER, rows)))

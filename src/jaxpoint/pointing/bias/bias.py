@@ -52,8 +52,7 @@ class Bias(eqx.Module):
         Args:
             directions: of all `lines`, in that order; their length does not matter, the first one's is kept.
         """
-        directions = as_float(directions)
-        return turned(directions[..., 0, :], -self.model.turn(azimuth_elevation(directions)))
+        return _turned(self.model, as_float(directions))
 
 
 def corrected(bias: Bias, lines: Mapping[str, PointingLine]) -> PointingLine:
@@ -76,18 +75,23 @@ def corrected(bias: Bias, lines: Mapping[str, PointingLine]) -> PointingLine:
         )
     first = lines[bias.lines[0]]
     directions = jnp.stack([lines[kind].ray.direction for kind in bias.lines], axis=-2)
-    direction, covariance = _turned_with_covariance(bias, directions, first.covariance)
+    direction, covariance = _turned_with_covariance(bias.model, directions, first.covariance)
     return PointingLine(Ray(first.ray.origin, direction), covariance)
 
 
 @jit
-def _turned_with_covariance(bias: Bias, directions: Array, covariance: Array) -> tuple[Array, Array]:
+def _turned(model: AbstractModel, directions: Array) -> Array:
+    return turned(directions[..., 0, :], -model.turn(azimuth_elevation(directions)))
+
+
+@jit
+def _turned_with_covariance(model: AbstractModel, directions: Array, covariance: Array) -> tuple[Array, Array]:
     def one(directions: Array, covariance: Array) -> tuple[Array, Array]:
         def by_first(first: Array) -> Array:
-            return bias.correct(directions.at[0].set(first))
+            return _turned(model, directions.at[0].set(first))
 
         change = jnp.eye(6, dtype=directions.dtype).at[3:, 3:].set(jax.jacfwd(by_first)(directions[0]))
-        return bias.correct(directions), change @ covariance @ change.T
+        return _turned(model, directions), change @ covariance @ change.T
 
     batch = directions.shape[:-2]
     flat = jax.vmap(one)(directions.reshape(-1, *directions.shape[-2:]), covariance.reshape(-1, 6, 6))
