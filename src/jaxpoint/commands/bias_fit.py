@@ -41,7 +41,7 @@ class BiasFit(Options):
     shared: Path | None = None
     """A bias of many people, on which the offset of the one person of this table is put."""
     loss_deg: Positive = 1.5
-    """Misses well beyond this angle are taken for slips and hardly count."""
+    """Misses well beyond this angle are taken for slips and hardly count; a shared bias brings its own measure."""
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> BiasFit:

@@ -57,7 +57,7 @@ def solve(models: Model, pointings: Pointings, weights: Float[np.ndarray, "N G"]
         loss_rad: scale of the loss; None: least squares.
     """
     rows, observed = len(weights), Observed.of(pointings)
-    more = _power_of_two(rows, 1) - rows
+    more = _power_of_two(rows, 8) - rows
     models = jax.tree.map(lambda leaf: jnp.concatenate([leaf, *[leaf[:1]] * more]), models)
     chosen = _padded(_padded(weights.T, len(observed.level)).T, rows + more)
     scale = np.float64(LEAST_SQUARES if loss_rad is None else loss_rad)
