@@ -77,7 +77,10 @@ def run_python(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["detect", "--help"], ["doctor", "--help"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--help"], ["calibrate", "--help"], ["detect", "--help"], ["bias", "fit", "--help"], ["doctor", "--help"]],
+)
 def test_help_imports_nothing_heavy(arguments):
     code = f"""
 import sys

@@ -23,7 +23,11 @@ def blocks(language: str) -> list[str]:
 
 
 COMMANDS = sorted(
-    set(re.findall(r"jaxpoint (?:detect|objects|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README))
+    set(
+        re.findall(
+            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README
+        )
+    )
 )
 
 
@@ -36,6 +40,7 @@ def test_every_command_is_understood(line):
 def test_the_commands_were_found():
     assert {line.split()[1] for line in COMMANDS} >= {
         "detect",
+        "bias",
         "check",
         "calibrate",
         "align",

@@ -21,6 +21,9 @@ from typing import Annotated, Any, NoReturn, get_args
 import tyro
 
 from jaxpoint.commands.align import Align
+from jaxpoint.commands.bias_apply import BiasApply
+from jaxpoint.commands.bias_compare import BiasCompare
+from jaxpoint.commands.bias_fit import BiasFit
 from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
@@ -46,6 +49,9 @@ Command = (
     | ObjectsAdd
     | ObjectsList
     | ObjectsCheck
+    | BiasFit
+    | BiasApply
+    | BiasCompare
     | Check
     | Calibrate
     | Align
@@ -59,6 +65,7 @@ COMMANDS = get_args(Command)
 GROUPS = {
     "detect": "Find something in the images of every camera.",
     "objects": "Keep the database of objects that can be pointed at.",
+    "bias": "How far people's lines of pointing miss: learn it, take it back, compare models.",
 }
 DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
 

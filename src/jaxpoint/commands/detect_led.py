@@ -13,7 +13,7 @@ from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import detection_summary, hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import LedSettings, RoomConfig
-from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,8 +45,7 @@ class DetectLed(SeededOptions):
         from jaxpoint.detect.led import DetectionInterrupted, detect_led
         from jaxpoint.report.html import write_detection_section
 
-        out = self.needed_out("tracks.npz")
-        _check_out(out, self.force)
+        out = self.needed_file("tracks.npz")
         with console.progress() as progress:
             try:
                 detection = detect_led(self.sources, self.settings, progress)
@@ -85,15 +84,6 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
         f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel."
     )
-
-
-def _check_out(out: Path, force: bool) -> None:
-    if out.suffix != ".npz":
-        raise UsageError(f"--out must name a file that ends in .npz, not '{out}'.")
-    if out.exists() and not (force and out.is_file()):
-        raise UsageError(f"'{out}' exists; choose another --out, or replace it by --force.")
-    if not out.absolute().parent.is_dir():
-        raise UsageError(f"There is no folder '{out.parent}'; make it, or choose another --out.")
 
 
 def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:

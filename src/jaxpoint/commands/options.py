@@ -41,6 +41,22 @@ class Options:
             raise UsageError(f"Say where the results go: --out {example}")
         return self.out
 
+    def needed_file(self, example: str) -> Path:
+        """`--out`, where it is one new file.
+
+        Raises:
+            UsageError: it was not given, ends otherwise than the example, exists (without `--force`), or its folder
+                does not.
+        """
+        out, ending = self.needed_out(example), Path(example).suffix
+        if out.suffix != ending:
+            raise UsageError(f"--out must name a file that ends in {ending}, not '{out}'.")
+        if out.exists() and not (self.force and out.is_file()):
+            raise UsageError(f"'{out}' exists; choose another --out, or replace it by --force.")
+        if not out.absolute().parent.is_dir():
+            raise UsageError(f"There is no folder '{out.parent}'; make it, or choose another --out.")
+        return out
+
 
 @dataclass(frozen=True, kw_only=True)
 class SeededOptions(Options):

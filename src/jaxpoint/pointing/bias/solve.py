@@ -1,0 +1,147 @@
+"""The numbers of a model, by Levenberg-Marquardt: of many models, over many choices of gestures, in one program."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import lineax as lx
+import numpy as np
+import optimistix as optx
+from jaxtyping import Array, Float
+
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.pointings import Pointings
+from jaxpoint.pointing.bias.spread import Spread
+
+Model = TypeVar("Model", bound=AbstractModel)
+
+LEAST_SQUARES = 1e6  # a scale of the loss at which it is a sum of squares, rad
+_NARROWING = (4.0, 1.0)  # the loss starts wide: a start far off must not take the good gestures for gross misses
+_STEPS = 100
+_UNIT = np.deg2rad(1.5)  # of a miss beside a number's distance from what it is a priori
+
+
+class Observed(eqx.Module):
+    """Gestures as the solver takes them, padded to a power of two so that few programs are compiled."""
+
+    angles: Float[Array, "G L 2"] = eqx.field(converter=as_float)  # rad
+    errors: Float[Array, "G 2"] = eqx.field(converter=as_float)  # rad, of the first line, as it was drawn
+    level: Float[Array, " G"] = eqx.field(converter=as_float)  # by how much an error of azimuth counts
+
+    @staticmethod
+    def of(pointings: Pointings) -> Observed:
+        """Pointings with targets."""
+        size = _power_of_two(len(pointings), 64)
+        return Observed(*(_padded(x, size) for x in (pointings.angles, pointings.errors, pointings.level)))
+
+    def misses(self, model: AbstractModel) -> Float[Array, "G 2"]:
+        """By how much corrected lines point to the left of their targets and above, rad."""
+        left, up = jnp.moveaxis(self.errors - model.turn(self.angles), -1, 0)
+        return jnp.stack([left * self.level, up], axis=-1)
+
+
+def solve(models: Model, pointings: Pointings, weights: Float[np.ndarray, "N G"], loss_rad: float | None) -> Model:
+    """N fits of a model, one for each row of weights.
+
+    Minimises a Cauchy loss of the angles by which lines miss their targets, to the left and up.
+
+    Args:
+        models: where to start, with a leading axis N on all leaves.
+        pointings: with targets.
+        weights: of each gesture in each fit; 0 leaves it out.
+        loss_rad: scale of the loss; None: least squares.
+    """
+    rows, observed = len(weights), Observed.of(pointings)
+    more = _power_of_two(rows, 8) - rows
+    models = jax.tree.map(lambda leaf: jnp.concatenate([leaf, *[leaf[:1]] * more]), models)
+    chosen = _padded(_padded(weights.T, len(observed.level)).T, rows + more)
+    scale = np.float64(LEAST_SQUARES if loss_rad is None else loss_rad)
+    return jax.tree.map(lambda leaf: leaf[:rows], _solve(models, observed, chosen, scale))
+
+
+def all_misses(models: AbstractModel, pointings: Pointings) -> Float[np.ndarray, "N G 2"]:
+    """By how much lines corrected by each of N models point to the left of their targets and above, rad."""
+    return np.asarray(_misses(models, Observed.of(pointings)))[:, : len(pointings)]
+
+
+def offsets(
+    model: AbstractModel,
+    pointings: Pointings,
+    weights: Float[np.ndarray, "N G"],
+    between: Float[AnyArray, "2 2"],
+    within: Spread,
+) -> Float[np.ndarray, "N 2"]:
+    """By how much one person points farther left and higher than a shared model says, rad; the likeliest, N times.
+
+    The person is one of a crowd whose offsets have the covariance `between`, so a few gestures move the answer only as
+    far as they are worth.
+    """
+    rows, observed = len(weights), Observed.of(pointings)
+    chosen = _padded(_padded(weights.T, len(observed.level)).T, _power_of_two(rows, 1))
+    return np.asarray(_offsets(model, observed, chosen, jnp.asarray(between), within))[:rows]
+
+
+def cauchy(vectors: Float[Array, "*batch 2"], scale: Float[Array, ""]) -> Float[Array, "*batch 2"]:
+    """Vectors along the given ones whose squared lengths are scale^2 log(1 + |vector|^2 / scale^2)."""
+    squared = jnp.sum(vectors**2, axis=-1, keepdims=True) / scale**2
+    small = squared < 1e-12
+    shrink = jnp.sqrt(jnp.log1p(jnp.where(small, 1.0, squared)) / jnp.where(small, 1.0, squared))
+    return vectors * jnp.where(small, 1.0, shrink)
+
+
+@jit
+def _solve(models: AbstractModel, observed: Observed, weights: Array, scale: Array) -> AbstractModel:
+    def one(model: AbstractModel, weights: Array) -> AbstractModel:
+        numbers, rest = eqx.partition(model, eqx.is_inexact_array)
+
+        def residuals(numbers: AbstractModel, width: Array) -> tuple[Array, Array]:
+            own = eqx.combine(numbers, rest)
+            misses = cauchy(observed.misses(own), width * scale)
+            return jnp.sqrt(weights)[:, None] * misses / _UNIT, own.prior()
+
+        solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5, linear_solver=lx.Normal(lx.Cholesky()))
+
+        def narrower(numbers: AbstractModel, width: Array) -> tuple[AbstractModel, None]:
+            found = optx.least_squares(residuals, solver, numbers, args=width, max_steps=_STEPS, throw=False)
+            return found.value, None
+
+        return eqx.combine(jax.lax.scan(narrower, numbers, jnp.asarray(_NARROWING, scale.dtype))[0], rest)
+
+    return jax.vmap(one)(models, weights)
+
+
+@jit
+def _misses(models: AbstractModel, observed: Observed) -> Array:
+    return jax.vmap(observed.misses)(models)
+
+
+@jit
+def _offsets(model: AbstractModel, observed: Observed, weights: Array, between: Array, within: Spread) -> Array:
+    white = jnp.linalg.inv(jnp.linalg.cholesky(within.scale))
+    tight = jnp.linalg.inv(jnp.linalg.cholesky(between))
+    shared = observed.misses(model)
+
+    def one(weights: Array) -> Array:
+        def residuals(offset: Array, _: None) -> tuple[Array, Array]:
+            own = shared - jnp.stack([observed.level * offset[0], jnp.broadcast_to(offset[1], observed.level.shape)], 1)
+            student = cauchy(own @ white.T, jnp.sqrt(within.freedom.astype(own.dtype)))
+            likelihood = jnp.sqrt((within.freedom + 2) / within.freedom * weights)
+            return likelihood[:, None] * student, tight @ offset
+
+        solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5, linear_solver=lx.Normal(lx.Cholesky()))
+        return optx.least_squares(residuals, solver, jnp.zeros_like(shared[0]), max_steps=_STEPS, throw=False).value
+
+    return jax.vmap(one)(weights)
+
+
+def _power_of_two(count: int, least: int) -> int:
+    return max(least, 1 << max(count - 1, 0).bit_length())
+
+
+def _padded(values: np.ndarray, size: int) -> np.ndarray:
+    return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]))])

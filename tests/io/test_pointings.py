@@ -1,0 +1,125 @@
+"""Tables of pointings, biases as files, and the two studies."""
+
+from dataclasses import replace
+
+import crowds
+import jax
+import numpy as np
+import pytest
+
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.bias import read_bias, write_bias
+from jaxpoint.io.pointing_studies import read_schuetz, read_torsalve
+from jaxpoint.io.pointings import read_pointings, write_pointings
+from jaxpoint.pointing.bias.bias import Bias, Fitted
+from jaxpoint.pointing.bias.models import Blend, Constant, ConstantElevation, Personal, Polynomial
+from jaxpoint.pointing.bias.score import errors_deg
+from jaxpoint.pointing.bias.spread import Spread
+
+HEADER = "person,gesture,line,origin_x_m,origin_y_m,origin_z_m,direction_x,direction_y,direction_z"
+LINE = "anna,1,forearm,0,0,1.4,1,0,0.1"
+MODELS = {
+    "constant-elevation": ConstantElevation(0.1),
+    "constant": Constant(np.array([0.1, -0.2])),
+    "polynomial": Polynomial(np.array([[0.1, 0.2, 0.3], [-0.1, 0.0, 0.4]])),
+    "blend": Blend(np.array([0.1, 0.2]), np.array([[0.3, 0.0], [-0.4, 0.0]]), np.array([True, False])),
+    "personal": Personal(Constant(np.array([0.1, -0.2])), np.array([0.02, 0.03])),
+}
+
+
+def bias_of(model) -> Bias:
+    matrix = np.array([[0.01, 0.002], [0.002, 0.02]])
+    lines = ("forearm", "hand", "shoulder") if isinstance(model, Blend) else ("forearm",)
+    return Bias(lines, model, Spread(matrix, np.array(4)), matrix, Spread(matrix / 2, np.array(2)),
+                Fitted("drawn", 5, 60, 9, 1.5, None))  # fmt: skip
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_table_comes_back(tmp_path, known):
+    people = crowds.crowd(people=3, gestures=4)
+    people = people if known else replace(people, targets=None)
+    write_pointings(tmp_path / "pointings.csv", people)
+    found = read_pointings(tmp_path / "pointings.csv")
+    assert (found.gestures, found.people, found.lines) == (people.gestures, people.people, people.lines)
+    np.testing.assert_allclose(found.directions, people.directions, atol=1e-9)
+    np.testing.assert_allclose(found.origins, people.origins, atol=1e-9)
+    assert (found.targets is not None) == known
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ([HEADER, LINE, LINE], "line 3: the line 'forearm' of this gesture is given twice"),
+        ([HEADER, LINE, LINE.replace("forearm", "hand"), LINE.replace(",1,", ",2,", 1)], "has no line 'hand'"),
+        ([HEADER, LINE.replace("1,0,0.1", "0,0,0")], "the direction has no length"),
+        ([HEADER, LINE.replace("1.4", "1400")], "a coordinate is 1400 m"),
+        ([HEADER, LINE.replace("1.4", "much")], "'much', which is not a number"),
+        ([HEADER + ",target_x_m,target_y_m,target_z_m", LINE + ",0,0,1.4"], "the target lies 0 mm from"),
+        ([HEADER + ",target_x_m", LINE + ",2"], "column 'target_y_m' is empty"),
+    ],
+)
+def test_a_bad_table_is_refused(tmp_path, rows, message):
+    (tmp_path / "bad.csv").write_text("\n".join(rows))
+    with pytest.raises(FileFormatError, match=message):
+        read_pointings(tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_a_bias_comes_back(tmp_path, kind):
+    bias = bias_of(MODELS[kind])
+    write_bias(tmp_path / "bias.toml", bias)
+    found = read_bias(tmp_path / "bias.toml")
+    assert jax.tree.structure(found) == jax.tree.structure(bias)
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(bias)):
+        np.testing.assert_allclose(a, b, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('format = "jaxpoint-bias"', 'format = "another"', "another"),
+        ("version = 1", "version = 2", "version"),
+        ("elevation_deg", "elevation", "elevation"),
+        ("freedom = 4", "freedom = 5", "freedom is 5"),
+        ('"forearm",', '"forearm", "hand",', "reads 1 lines, but 2 are named"),
+        ("[between]", "[betwixt]", "betwixt"),
+        ("32.828064", "-32.828064", "no covariance"),
+        ("version", "[[", "is not a bias"),
+    ],
+)
+def test_a_bad_bias_is_refused(tmp_path, old, new, message):
+    path = tmp_path / "bias.toml"
+    write_bias(path, bias_of(MODELS["constant"]))
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(FileFormatError, match=message):
+        read_bias(path)
+
+
+def test_the_markers_are_read_as_their_notes_say(data_folder):
+    """Medians and constant errors of README.txt, whose azimuths count to the right."""
+    people = read_torsalve(data_folder / "pointing_torsalve")
+    noted = {"head": (4.60, 3.80, 0.79), "shoulder": (19.41, -3.65, 18.29), "upper-arm": (19.78, -12.80, 15.86),
+             "forearm": (19.65, -14.98, 15.52), "hand": (19.55, -13.15, 16.16)}  # fmt: skip
+    assert (len(people), len(people.crowd)) == (945, 7)
+    for line, (median, right, high) in noted.items():
+        own = people.of_lines((line,))
+        found = np.rad2deg(own.errors.mean(axis=0))
+        np.testing.assert_allclose(np.median(errors_deg(own, own.directions[:, 0])), median, atol=0.006)
+        np.testing.assert_allclose(found, [-right, high], atol=0.006)
+
+
+def test_the_wall_is_read_as_its_notes_say(data_folder):
+    wall = read_schuetz(data_folder / "pointing_schuetz")
+    own = wall.pointings
+    assert (len(own), len(own.crowd)) == (1296, 12)
+    assert [wall.feedback.count(name) for name in ("cursor", "hand", "none")] == [432, 432, 432]
+    np.testing.assert_allclose(np.median(errors_deg(own, own.directions[:, 0])), 4.72, atol=0.006)
+    gap = wall.hits - own.targets
+    np.testing.assert_allclose([np.median(np.linalg.norm(gap, axis=1)), gap[:, 0].mean()], [0.263, 0.154], atol=6e-4)
+
+
+def test_no_study_there(tmp_path):
+    with pytest.raises(FileFormatError, match="no trials"):
+        read_schuetz(tmp_path)
