@@ -146,7 +146,7 @@ def find_arm(
         if stretch(arm.tip, head) < stretch(arms[0].tip, head) - RIVAL_M:
             break  # the arm that is stretched out could not be measured; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
-        measured = _measured(scene, arm, own, _span(head))
+        measured = _measured(scene, arm, own, limb_span(head))
         if measured is not None:
             return replace(measured, stretch=stretch(arm.tip, head))
     return None
@@ -211,7 +211,7 @@ def _rays_of(scene: _Scene, limbs: Sequence[Limb], cameras: Sequence[int]) -> Li
     )
 
 
-def _span(head: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
+def limb_span(head: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
     """Between wrist and elbow, behind the tip, m: by the stature where a person stands, else of a small adult."""
     stature = head[2] + HEAD_M / 2
     return np.array(SPAN) * (min(stature, TALLEST_M) if stature > SMALLEST_M else SEATED_M)

@@ -17,7 +17,7 @@ from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.linalg import solve_positive
 from jaxpoint.geometry.line import normalised
 
-STEPS = 12
+STEPS = 16
 _EDGE_M = 0.02  # over which a slice's weight rises at the ends of the span
 _DAMPING = 1e-6
 
@@ -29,9 +29,14 @@ class LimbAxis(eqx.Module):
     far: Float[Array, "*batch 3"]  # m, the one at the elbow's end
     direction: Float[Array, "*batch 3"]  # unit length, towards the tip
     direction_covariance: Float[Array, "*batch 3 3"]  # of the direction, if slices were independent
-    near_covariance: Float[Array, "*batch 3 3"]  # m^2
+    ends_covariance: Float[Array, "*batch 6 6"]  # m^2, of near and far, in that order
     rms: Float[Array, "*batch"]  # in units of `sigma_px`, over the slices that count
     slices: Float[Array, "*batch C"]  # weight of each view: slices that count
+
+    @property
+    def near_covariance(self) -> Float[Array, "*batch 3 3"]:
+        """Of the point at the tip's end, m^2."""
+        return self.ends_covariance[..., :3, :3]
 
 
 def fit_axis(
@@ -56,62 +61,96 @@ def fit_axis(
         sigma_px: by how much a slice's middle may miss the axis in each view, px: the scale of the robust loss.
         span_m: where slices count, behind the tip along the axis, m: behind the wrist, and before the elbow.
 
-    Differentiable in all arguments that are not flags; batch it with `vmap`.
+    Differentiable in all arguments that are not flags, by the implicit function theorem; batch it with `vmap`.
     """
-    origins, focal, rays, tip = as_float(origins), as_float(focal), as_float(rays), as_float(tip)
-    direction, sigma_px, span = as_float(direction), as_float(sigma_px), as_float(span_m)
-    side = _across(direction)
-
-    def ends(offsets: Array) -> tuple[Array, Array]:
-        near = tip - span[0] * direction + offsets[:2] @ side
-        far = tip - span[1] * direction + offsets[2:] @ side
-        return near, far
-
-    def residuals(offsets: Array) -> Array:
-        near, far = ends(offsets)
-        normal = normalised(jnp.cross(near[None] - origins, far[None] - origins))
-        return (focal / sigma_px)[:, None] * jnp.sum(rays * normal[:, None, :], axis=-1)
-
-    def weights(offsets: Array) -> Array:
-        near, far = ends(offsets)
-        behind = _behind(origins, rays, near, normalised(near - far)) + span[0]
-        rise = jnp.clip((behind - span[0] + _EDGE_M) / _EDGE_M, 0.0, 1.0)
-        fall = jnp.clip((span[1] + _EDGE_M - behind) / _EDGE_M, 0.0, 1.0)
-        return jnp.where(seen, rise * fall, 0.0)
-
-    def normal_equations(offsets: Array, scale: Array | float) -> tuple[Array, Array, Array, Array]:
-        value = residuals(offsets)
-        rows = jax.jacfwd(residuals)(offsets)
-        counted = weights(offsets)
-        robust = counted / (1.0 + (value / scale) ** 2)
-        matrix = jnp.einsum("cs,csi,csj->ij", robust, rows, rows)
-        gradient = jnp.einsum("cs,csi,cs->i", robust, rows, value)
-        return matrix, gradient, value, counted
-
-    def step(count: Array, offsets: Array) -> Array:
-        # The scale shrinks to its end: a start that is off by a few pixels must not lose the right slices.
-        scale = jnp.maximum(1.0, 8.0 * 0.5**count)
-        matrix, gradient, _, _ = normal_equations(offsets, scale)
-        return offsets - solve_positive(_damped(matrix), gradient)
-
-    offsets = jax.lax.fori_loop(0, STEPS, step, jnp.zeros(4, tip.dtype))
-    matrix, _, value, counted = normal_equations(offsets, 1.0)
-    near, far = ends(offsets)
+    given = _Given(*(as_float(part) for part in (origins, focal, rays, tip, direction, sigma_px, span_m)), seen=seen)
+    settled = jax.lax.stop_gradient(_settled(jax.lax.stop_gradient(given)))
+    # One step more, which does not move the optimum, but whose derivative is that of the optimum.
+    turning = jax.lax.stop_gradient(jax.jacfwd(lambda offsets: _pull(given, offsets))(settled))
+    offsets = settled - jnp.linalg.solve(_damped(turning), _pull(given, settled))
+    matrix, _, value, counted = _normal_equations(given, offsets, 1.0)
+    near, far = _ends(given, offsets)
     total = jnp.sum(counted)
     some = total > 0
     rms2 = jnp.sum(counted * value**2) / jnp.where(some, total, 1.0)
     covariance = jnp.linalg.inv(_damped(matrix)) * jnp.maximum(rms2, 1.0)
-    of_direction = jax.jacfwd(lambda x: normalised(ends(x)[0] - ends(x)[1]))(offsets)
-    of_near = jax.jacfwd(lambda x: ends(x)[0])(offsets)
+
+    def direction_of(x: Array) -> Array:
+        near, far = _ends(given, x)
+        return normalised(near - far)
+
+    of_direction = jax.jacfwd(direction_of)(offsets)
+    of_ends = jax.jacfwd(lambda x: jnp.concatenate(_ends(given, x)))(offsets)
     return LimbAxis(
         near,
         far,
         normalised(near - far),
         of_direction @ covariance @ of_direction.T,
-        of_near @ covariance @ of_near.T,
+        of_ends @ covariance @ of_ends.T,
         jnp.sqrt(jnp.where(some, rms2, 0.0)),
         jnp.sum(counted, axis=1),
     )
+
+
+class _Given(eqx.Module):
+    """The arguments of `fit_axis`."""
+
+    origins: Array
+    focal: Array
+    rays: Array
+    tip: Array
+    direction: Array
+    sigma_px: Array
+    span: Array
+    seen: AnyArray
+
+
+def _ends(given: _Given, offsets: Array) -> tuple[Array, Array]:
+    """Both ends of the span, moved across the first guess."""
+    side = _across(given.direction)
+    near = given.tip - given.span[0] * given.direction + offsets[:2] @ side
+    far = given.tip - given.span[1] * given.direction + offsets[2:] @ side
+    return near, far
+
+
+def _residuals(given: _Given, offsets: Array) -> Array:
+    near, far = _ends(given, offsets)
+    normal = normalised(jnp.cross(near[None] - given.origins, far[None] - given.origins))
+    return (given.focal / given.sigma_px)[:, None] * jnp.sum(given.rays * normal[:, None, :], axis=-1)
+
+
+def _counted(given: _Given, offsets: Array) -> Array:
+    """The weight of each slice by its place along the axis."""
+    near, far = _ends(given, offsets)
+    behind = _behind(given.origins, given.rays, near, normalised(near - far)) + given.span[0]
+    rise = jnp.clip((behind - given.span[0] + _EDGE_M) / _EDGE_M, 0.0, 1.0)
+    fall = jnp.clip((given.span[1] + _EDGE_M - behind) / _EDGE_M, 0.0, 1.0)
+    return jnp.where(given.seen, rise * fall, 0.0)
+
+
+def _normal_equations(given: _Given, offsets: Array, scale: Array | float) -> tuple[Array, Array, Array, Array]:
+    value = _residuals(given, offsets)
+    rows = jax.jacfwd(lambda x: _residuals(given, x))(offsets)
+    counted = _counted(given, offsets)
+    robust = counted / (1.0 + (value / scale) ** 2)
+    matrix = jnp.einsum("cs,csi,csj->ij", robust, rows, rows)
+    gradient = jnp.einsum("cs,csi,cs->i", robust, rows, value)
+    return matrix, gradient, value, counted
+
+
+def _pull(given: _Given, offsets: Array) -> Array:
+    """What is zero at the optimum."""
+    return _normal_equations(given, offsets, 1.0)[1]
+
+
+def _settled(given: _Given) -> Array:
+    def step(count: Array, offsets: Array) -> Array:
+        # The scale shrinks to its end: a start that is off by a few pixels must not lose the right slices.
+        scale = jnp.maximum(1.0, 8.0 * 0.5**count)
+        matrix, gradient, _, _ = _normal_equations(given, offsets, scale)
+        return offsets - solve_positive(_damped(matrix), gradient)
+
+    return jax.lax.fori_loop(0, STEPS, step, jnp.zeros(4, given.tip.dtype))
 
 
 def _damped(matrix: Array) -> Array:

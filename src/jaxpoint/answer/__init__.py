@@ -1,0 +1,1 @@
+"""From arms over time to answers: gestures, their lines, and what they point at."""

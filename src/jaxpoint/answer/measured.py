@@ -1,0 +1,128 @@
+"""The arm of a hold as numbers: head, forearm and tip of every frame, and what the calibration's error does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxpoint.answer.holds import Hold
+from jaxpoint.camera.camera import PARAMETERS, Camera
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.compilation import jit_once
+from jaxpoint.detect.arm import SLICES
+from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.person.arms import ArmReason, PointingArm, limb_span
+from jaxpoint.person.following import Following
+from jaxpoint.person.promise import strips_axis
+from jaxpoint.triangulation import triangulate
+
+NUMBERS = 12  # coordinates of head, of the forearm's axis at elbow and wrist, and of the tip
+TIP_SIGMA_M = 0.015  # of a fingertip, however well the views agree
+FRAMES = 64  # of a hold that are used, at most; holds are padded to this
+
+
+class ArmPixels(eqx.Module):
+    """What C cameras saw of one arm at one moment; hidden pixels never matter."""
+
+    slices: Float[Array, "C S 2"] = eqx.field(converter=as_float)  # px, middles of the limb's slices
+    held: Bool[AnyArray, "C S"]  # which slices have a say
+    tip: Float[Array, "C 2"] = eqx.field(converter=as_float)  # px
+    tip_seen: Bool[AnyArray, " C"]
+    head: Float[Array, "C 2"] = eqx.field(converter=as_float)  # px
+    head_seen: Bool[AnyArray, " C"]
+    start: Float[Array, "3"] = eqx.field(converter=as_float)  # m, on the axis beside the tip
+    direction: Float[Array, "3"] = eqx.field(converter=as_float)  # unit, with which the fit starts
+    span: Float[Array, "2"] = eqx.field(converter=as_float)  # m, in which slices count
+
+
+def arm_numbers(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12"]:
+    """Head, elbow's and wrist's end of the forearm's axis, and tip, m: as these cameras see these pixels.
+
+    Differentiable in the cameras and in the pixels.
+    """
+    axis = strips_axis(rig, seen.slices, seen.held, seen.start, seen.direction, seen.span)
+    pixels, visible = jnp.stack([seen.head, seen.tip]), jnp.stack([seen.head_seen, seen.tip_seen])
+    head, tip = triangulate(rig, pixels, visible, covariance=False).points
+    return jnp.concatenate([head, axis.far, axis.near, tip])
+
+
+@jit_once
+def by_calibration(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12 D"]:
+    """How `arm_numbers` changes with the cameras' D = 15 C numbers, in the order of `Camera.perturbed`."""
+
+    def moved(changes: Array) -> Array:
+        cameras = jax.vmap(Camera.perturbed)(rig.cameras, changes.reshape(-1, PARAMETERS))
+        return arm_numbers(CameraRig(cameras, rig.image_sizes, rig.names), seen)
+
+    return jax.jacfwd(moved)(jnp.zeros(len(rig) * PARAMETERS, rig.cameras.focal.dtype))
+
+
+def frames_of(
+    following: Following, holds: Sequence[Hold]
+) -> tuple[Float[np.ndarray, "G F 12"], Float[np.ndarray, "G F 12 12"], Bool[np.ndarray, "G F"]]:
+    """Head, elbow, wrist and tip (m) of every frame of G holds, with the covariance of measuring; padded.
+
+    Of a longer hold `FRAMES` moments spread over it are taken.
+    """
+    values = np.zeros((len(holds), FRAMES, NUMBERS))
+    covariance = np.zeros((len(holds), FRAMES, NUMBERS, NUMBERS))
+    seen = np.zeros((len(holds), FRAMES), bool)
+    heads = following.tracking.heads
+    for i, hold in enumerate(holds):
+        chosen = np.unique(np.linspace(0, len(hold.moments) - 1, min(FRAMES, len(hold.moments))).astype(int))
+        for row, moment in enumerate(hold.moments[chosen]):
+            arm = arm_at(following, hold, int(moment))
+            head, sigma = heads.positions[moment, hold.person], heads.sigma[moment, hold.person]
+            values[i, row] = np.concatenate([head, arm.axis.far, arm.axis.near, arm.tip])
+            covariance[i, row] = _covariance(arm, float(sigma))
+            seen[i, row] = True
+    return values, covariance, seen
+
+
+def arm_at(following: Following, hold: Hold, moment: int) -> PointingArm:
+    """The arm that was measured at a moment of a hold."""
+    arm = following.arms[moment, hold.person]
+    assert arm is not None, "a hold has only moments with an arm"
+    return arm
+
+
+def middle_moment(hold: Hold, weights: Float[np.ndarray, " F"]) -> int:
+    """The moment of a hold that lies nearest to its mean: the one to be shown."""
+    chosen = np.unique(np.linspace(0, len(hold.moments) - 1, min(FRAMES, len(hold.moments))).astype(int))
+    return int(hold.moments[chosen][np.argmax(weights[: len(chosen)])])
+
+
+def pixels_of(rig: CameraRig, following: Following, hold: Hold, moment: int) -> ArmPixels:
+    """What all cameras saw of the arm at one moment of a hold."""
+    arm = arm_at(following, hold, moment)
+    count = len(arm.views)
+    slices, held = np.zeros((count, SLICES, 2)), np.zeros((count, SLICES), bool)
+    tips, tip_seen = np.zeros((count, 2)), np.zeros(count, bool)
+    for camera, view in enumerate(arm.views):
+        if view.reason == ArmReason.FOUND and view.strip is not None:
+            slices[camera], held[camera] = view.strip.middle, view.strip.width > 0
+            tips[camera], tip_seen[camera] = view.tip, True
+    head = following.tracking.heads.positions[moment, hold.person]
+    span = limb_span(head)
+    start = np.asarray(arm.axis.near) + span[0] * arm.direction
+    head_seen = following.sightings[moment, hold.person] >= 0
+    if head_seen.sum() < 2:
+        head_seen = np.asarray(rig.depth(head)) > 0
+    return ArmPixels(
+        slices, held, tips, tip_seen, np.asarray(rig.project(head)), head_seen, start, arm.direction, span
+    )
+
+
+def _covariance(arm: PointingArm, head_sigma: float) -> Float[np.ndarray, "12 12"]:
+    """Of one frame: the head's from its track, the axis's from its fit, the tip's from how far its views disagree."""
+    covariance = np.zeros((NUMBERS, NUMBERS))
+    covariance[:3, :3] = head_sigma**2 * np.eye(3)
+    swapped = np.r_[3:6, 0:3]  # far before near
+    covariance[3:9, 3:9] = np.asarray(arm.axis.ends_covariance)[np.ix_(swapped, swapped)]
+    covariance[9:, 9:] = max(arm.tip_spread, TIP_SIGMA_M) ** 2 * np.eye(3)
+    return covariance
