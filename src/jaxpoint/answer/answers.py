@@ -1,0 +1,209 @@
+"""What each gesture points at: hits in order, what is nearest, probabilities, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.answer.holds import Hold
+from jaxpoint.answer.hypotheses import Hypothesis
+from jaxpoint.answer.lines import HeldJoints
+from jaxpoint.pointing.hits import intersect
+from jaxpoint.pointing.nearest import nearest
+from jaxpoint.pointing.objects import Objects
+from jaxpoint.pointing.posterior import AMBIGUOUS, posterior
+from jaxpoint.pointing.room import SURFACES, Room, end_in_room
+
+NOTHING = "nothing"
+WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
+WRONG_OF_MORE = 0.02
+SHOWN = 0.005  # smallest probability that is told
+
+
+@dataclass(frozen=True)
+class Place:
+    """An object, or a surface of the room, that the line meets."""
+
+    name: str
+    distance_m: float  # from the fingertip, along the line
+    point: Float[np.ndarray, "3"]  # m
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One gesture, its line, and what it points at."""
+
+    number: int
+    person: int
+    start_s: float
+    end_s: float
+    time_s: float
+    frame: int  # number of the moment that is shown
+    views: int
+    line: str  # the way of pointing that explains the answer best
+    joints: dict[str, Float[np.ndarray, "3"]]  # m
+    origin: Float[np.ndarray, "3"]  # m, the fingertip
+    direction: Float[np.ndarray, "3"]  # unit
+    sigma_deg: float  # of the measured direction, per axis
+    calibration_sigma_deg: float | None  # the calibration's part; None where it does not say how wrong it may be
+    hits: tuple[Place, ...]  # nearest first
+    surface: Place | None  # where the line leaves the room; None from outside of it
+    nearest: tuple[tuple[str, float], ...]  # the three nearest objects, degrees off the line
+    probabilities: tuple[tuple[str, float], ...]  # likeliest first, nothing among them
+    ambiguous: bool
+    name: str  # the answer: an object, or "nothing"
+    distance_m: float  # from the fingertip to it; to the surface where nothing is meant
+    reasons: tuple[str, ...]  # a sentence each: what to know of this answer
+    words: tuple[str, ...] = ()
+
+    @property
+    def probability(self) -> float:
+        """Of the answer."""
+        return self.probabilities[0][1]
+
+    @property
+    def azimuth_deg(self) -> float:
+        """Of the line, from the x axis to the left."""
+        return float(np.degrees(np.arctan2(self.direction[1], self.direction[0])))
+
+    @property
+    def elevation_deg(self) -> float:
+        """Of the line, above the horizontal."""
+        return float(np.degrees(np.arcsin(np.clip(self.direction[2], -1, 1))))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What can be pointed at, and where."""
+
+    objects: Objects
+    centres: Float[np.ndarray, "K 3"]  # m
+    room: Room
+    room_known: bool  # given, not guessed from the objects
+
+
+def answers(
+    holds: Sequence[Hold],
+    held: HeldJoints,
+    ways: Sequence[Hypothesis],
+    scene: Scene,
+    people: Sequence[int],
+    frames: Sequence[int],
+    *,
+    evidence: Float[np.ndarray, "G K"] | None = None,
+    words: Sequence[Sequence[str]] = (),
+    known_errors: bool = False,
+) -> list[Answer]:
+    """The answer to every gesture.
+
+    Args:
+        holds: G gestures.
+        held: their joints.
+        ways: how each may be pointing.
+        scene: objects and room.
+        people: the id of each person of the tracks.
+        frames: the number of the moment shown of each gesture.
+        evidence: likelihood factors of what was said.
+        words: what was said with each gesture.
+        known_errors: the calibration says how wrong it may be.
+    """
+    found = [posterior(way.lines, scene.objects, way.behaviour, evidence=evidence) for way in ways]
+    each = np.stack([np.column_stack([f.probability, f.nothing]) for f in found])  # ways, gestures, K + 1
+    weight = np.stack([way.weight for way in ways])[..., None]
+    right = (weight * each).sum(axis=0)
+    wrong = np.array([WRONG_OF_TWO_VIEWS if hold.views <= 2 else WRONG_OF_MORE for hold in holds])[:, None]
+    count = len(scene.objects)
+    chance = (1 - wrong) * right + wrong / (count + 1)
+    best = chance.argmax(axis=1)
+    # The way whose share in the winning answer is largest is the one that is shown.
+    way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
+    measured = [_measured(way, scene) for way in ways]
+    said = list(words) or [()] * len(holds)
+    return [
+        _answer(i, hold, held, ways[way_of[i]], measured[way_of[i]], scene, chance[i], people, frames, said[i], known_errors)
+        for i, hold in enumerate(holds)
+    ]  # fmt: skip
+
+
+def _measured(way: Hypothesis, scene: Scene):
+    """Hits, the three nearest, and the end in the room, of all gestures."""
+    rays = way.lines.ray
+    return intersect(rays, scene.objects), nearest(rays, scene.objects), end_in_room(rays, scene.room)
+
+
+def _answer(
+    i: int, hold: Hold, held: HeldJoints, way: Hypothesis, measured, scene: Scene, chance, people, frames, words, known
+) -> Answer:
+    hit, close, end = measured
+    names = (*scene.objects.names, NOTHING)
+    order = np.argsort(-chance, kind="stable")
+    hits = tuple(
+        Place(names[int(hit.object[i, j])], float(hit.distance[i, j]), np.asarray(hit.point[i, j]))
+        for j in np.flatnonzero(np.asarray(hit.valid[i]))
+    )
+    inside = bool(end.inside[i])
+    surface = Place(SURFACES[int(end.surface[i])], float(end.distance[i]), np.asarray(end.point[i])) if inside else None
+    origin, name = np.asarray(way.lines.ray.origin[i]), names[order[0]]
+    told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
+    return Answer(
+        number=i,
+        person=int(people[hold.person]),
+        start_s=hold.start_s,
+        end_s=hold.end_s,
+        time_s=hold.time_s,
+        frame=int(frames[i]),
+        views=hold.views,
+        line=way.kind,
+        joints={field: np.asarray(getattr(held.joints, field)[i]) for field in ("head", "eye", "shoulder", "elbow", "wrist", "tip")},
+        origin=origin,
+        direction=np.asarray(way.lines.ray.direction[i]),
+        sigma_deg=_sigma_deg(np.asarray(way.lines.direction_covariance[i])),
+        calibration_sigma_deg=None,
+        hits=hits,
+        surface=surface,
+        nearest=tuple(
+            (names[int(close.object[i, j])], float(np.degrees(close.measure[i, j])))
+            for j in np.flatnonzero(np.asarray(close.valid[i]))
+        ),
+        probabilities=told,
+        ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),
+        name=name,
+        distance_m=_distance(name, hits, surface, origin, scene),
+        reasons=_reasons(hold, way, name, hits, told, surface, scene),
+        words=tuple(words),
+    )  # fmt: skip
+
+
+def _distance(name: str, hits: Sequence[Place], surface: Place | None, origin: np.ndarray, scene: Scene) -> float:
+    """To where the line meets the answer; to the object's middle where it passes it by."""
+    if name == NOTHING:
+        return 0.0 if surface is None else surface.distance_m
+    for place in hits:
+        if place.name == name:
+            return place.distance_m
+    return float(np.linalg.norm(scene.centres[scene.objects.names.index(name)] - origin))
+
+
+def _sigma_deg(covariance: np.ndarray) -> float:
+    """Of a unit direction, per axis across it."""
+    return float(np.degrees(np.sqrt(np.trace(covariance) / 2)))
+
+
+def _reasons(hold: Hold, way: Hypothesis, name: str, hits, told, surface: Place | None, scene: Scene) -> tuple[str, ...]:
+    reasons = []
+    if hold.views <= 2:
+        reasons.append(f"The arm was measured in {hold.views} views only; one more would check it.")
+    if surface is None:
+        reasons.append("The fingertip lies outside of the room; check the calibration, or the room's size.")
+    met = [place.name for place in hits]
+    if name != NOTHING and name not in met:
+        passed = f", which meets {met[0]}" if met else ", which meets no object"
+        reasons.append(f"{name} lies beside the line{passed}; it is still the likeliest.")
+    elif name != NOTHING and met[0] != name:
+        reasons.append(f"{name} lies behind {met[0]}.")
+    if way.kind == "eye-fingertip":
+        reasons.append("The finger lies on the line of sight: the line goes from the eye over the fingertip.")
+    return tuple(reasons)

@@ -1,0 +1,110 @@
+"""In which way a person may be pointing: along eye and fingertip, or with the forearm (thesis 7.1; SPEC 6).
+
+Who points accurately brings the fingertip between eye and target, and the finger lies along that line. Who points
+approximately sends the forearm there, and the finger leaves the line from the eye by far. So the angle between both
+tells how probable each is, and the answer weighs both; nobody has to say it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxpoint.answer.lines import HeldJoints
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.line import Ray, angle_between
+from jaxpoint.pointing.joints import Joints, other_eye
+from jaxpoint.pointing.line import LineKind, PointingLine, directions, pointing_lines, weights_of
+from jaxpoint.pointing.posterior import Behaviour
+
+AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
+AIMING_WIDTH_DEG = 3.0
+SAME_SIDE = 0.7  # of people aim with the eye on the side of the hand that points
+SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
+
+
+class Corrects(Protocol):
+    """A model of bias: what it makes of lines, and how people scatter about them then."""
+
+    def correct(self, rays: Ray) -> Ray: ...
+    @property
+    def behaviour(self) -> Behaviour: ...
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One way of pointing, for G gestures."""
+
+    kind: str  # of `KINDS`, or "blend"
+    lines: PointingLine  # leading axis G
+    weight: Float[np.ndarray, " G"]  # its probability before the objects are looked at
+    behaviour: Behaviour
+
+
+def hypotheses(
+    held: HeldJoints,
+    kind: str,
+    blend: Mapping[LineKind, float] | None = None,
+    correction: Mapping[str, Corrects] | None = None,
+) -> list[Hypothesis]:
+    """The ways of pointing that are weighed: one for a line that was asked for, three for `auto`.
+
+    Args:
+        held: joints of G gestures.
+        kind: one of `KINDS`, "blend", or "auto".
+        blend: weights of a blend.
+        correction: models of bias by the line that they correct.
+
+    Raises:
+        ValueError: weights of a blend that cannot be used.
+    """
+    count = len(held.moments)
+    whole = np.ones(count)
+    if kind == "auto":
+        aims = _aiming(held.joints)
+        mirrored = jax.vmap(other_eye)(held.joints)
+        ways: Sequence[tuple[str, Joints, np.ndarray]] = (
+            ("eye-fingertip", held.joints, SAME_SIDE * aims),
+            ("eye-fingertip", mirrored, (1 - SAME_SIDE) * aims),
+            ("forearm", held.joints, 1 - aims),
+        )
+    else:
+        ways = ((kind, held.joints, whole),)
+    found = []
+    for name, joints, weight in ways:
+        weights = np.tile(weights_of(blend or {} if name == "blend" else name), (count, 1))
+        lines = pointing_lines(joints, held.covariance, weights)
+        model = (correction or {}).get(name)
+        if model is not None:
+            lines = PointingLine(model.correct(lines.ray), lines.covariance)
+        found.append(Hypothesis(name, lines, weight, behaviour_of(name) if model is None else model.behaviour))
+    return found
+
+
+def behaviour_of(kind: str) -> Behaviour:
+    """How people scatter about an uncorrected line: little about the line of sight, much about all others."""
+    if kind == "eye-fingertip":
+        return Behaviour(np.deg2rad(1.0), np.deg2rad(1.0))
+    if kind == "head-hand":
+        return Behaviour(np.deg2rad(4.0), np.deg2rad(4.0))
+    return Behaviour(np.deg2rad(6.0), np.deg2rad(9.0))
+
+
+def _aiming(joints: Joints) -> Float[np.ndarray, " G"]:
+    """The probability that the finger lies on the line of sight on purpose."""
+    apart = np.degrees(np.asarray(_finger_to_sight(joints)))
+    share = 1 / (1 + np.exp((apart - AIMING_DEG) / AIMING_WIDTH_DEG))
+    return np.clip(share, SURE_OF_WAY, 1 - SURE_OF_WAY)
+
+
+@jit
+def _finger_to_sight(joints: Joints) -> Float[Array, " G"]:
+    lines = directions(joints)
+    sight = jnp.asarray(joints.tip - joints.head)
+    return angle_between(lines[..., 1, :], sight)

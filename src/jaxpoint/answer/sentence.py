@@ -1,0 +1,93 @@
+"""An answer as a sentence for a person, and aloud."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Mapping, Sequence
+
+from jaxpoint.answer.answers import NOTHING, Answer
+from jaxpoint.errors import MissingDependencyError
+
+SPEAKER = "espeak-ng"
+SURE = 0.8
+
+
+def sentence(answer: Answer) -> str:
+    """What is pointed at, how far away, and what else it may be, such as "the book, 2.3 m away; or the newspaper"."""
+    others = [name for name, chance in answer.probabilities[1:] if 3 * chance > answer.probability]
+    if answer.name == NOTHING:
+        text = "nothing that is known"
+        if answer.surface is not None:
+            text = f"a place on {answer.surface.name}, {answer.distance_m:.1f} m away, where nothing is known"
+        return "; or ".join([text, *(_the(name) for name in others[:2])])
+    sure = "" if answer.probability >= SURE else ", probably" if answer.probability >= 0.5 else ", perhaps"
+    text = f"{_the(answer.name)}, {answer.distance_m:.1f} m away{sure}"
+    return "; or ".join([text, *(_the(name) for name in others[:2])])
+
+
+def _the(name: str) -> str:
+    return "nothing" if name == NOTHING else f"the {name}"
+
+
+def check_speaker() -> None:
+    """Whether this machine can speak.
+
+    Raises:
+        MissingDependencyError: the program is not installed.
+    """
+    if shutil.which(SPEAKER) is None:
+        raise MissingDependencyError(f"--speak needs the program {SPEAKER}, which is not installed; install it, or go without.")
+
+
+def speak(text: str) -> None:
+    """Say it.
+
+    Raises:
+        MissingDependencyError: the program is not installed, or fails.
+    """
+    check_speaker()
+    done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
+    if done.returncode:
+        raise MissingDependencyError(f"{SPEAKER} failed ({done.stderr.strip() or done.returncode}); go without --speak.")
+
+
+def as_json(answer: Answer) -> Mapping[str, object]:
+    """All of an answer, for a program or a robot."""
+    return {
+        "gesture": answer.number,
+        "person": answer.person,
+        "start_s": answer.start_s,
+        "end_s": answer.end_s,
+        "time_s": answer.time_s,
+        "frame": answer.frame,
+        "words": list(answer.words),
+        "line": answer.line,
+        "views": answer.views,
+        "origin_m": _floats(answer.origin),
+        "direction": _floats(answer.direction),
+        "azimuth_deg": answer.azimuth_deg,
+        "elevation_deg": answer.elevation_deg,
+        "sigma_deg": answer.sigma_deg,
+        "calibration_sigma_deg": answer.calibration_sigma_deg,
+        "answer": answer.name,
+        "distance_m": answer.distance_m,
+        "probability": answer.probability,
+        "probabilities": dict(answer.probabilities),
+        "ambiguous": answer.ambiguous,
+        "hits": [{"name": p.name, "distance_m": p.distance_m, "point_m": _floats(p.point)} for p in answer.hits],
+        "nearest": [{"name": name, "angle_deg": angle} for name, angle in answer.nearest],
+        "surface": None
+        if answer.surface is None
+        else {
+            "name": answer.surface.name,
+            "distance_m": answer.surface.distance_m,
+            "point_m": _floats(answer.surface.point),
+        },
+        "reasons": list(answer.reasons),
+        "sentence": sentence(answer),
+    }
+
+
+def _floats(values) -> Sequence[float]:
+    return [float(value) for value in values]
