@@ -23,6 +23,7 @@ LAYERS = (
     ("validation",),
     ("detect", "io", "report", "simulate"),
     ("person",),
+    ("answer",),
     ("doctor", "runs"),
     ("commands",),
     ("cli",),

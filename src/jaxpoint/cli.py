@@ -37,6 +37,7 @@ from jaxpoint.commands.objects_add import ObjectsAdd
 from jaxpoint.commands.objects_check import ObjectsCheck
 from jaxpoint.commands.objects_list import ObjectsList
 from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, checked, load_config
@@ -60,6 +61,7 @@ Command = (
     | Doctor
     | Demo
     | Simulate
+    | Point
 )
 COMMANDS = get_args(Command)
 GROUPS = {

@@ -149,7 +149,7 @@ def _answer(
     origin, name = np.asarray(way.lines.ray.origin[i]), names[order[0]]
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     return Answer(
-        number=i,
+        number=i + 1,
         person=int(people[hold.person]),
         start_s=hold.start_s,
         end_s=hold.end_s,

@@ -7,9 +7,8 @@ tells how probable each is, and the answer weighs both; nobody has to say it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +17,9 @@ from jaxtyping import Array, Float
 
 from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.line import Ray, angle_between
+from jaxpoint.geometry.line import angle_between
 from jaxpoint.pointing.joints import Joints, other_eye
-from jaxpoint.pointing.line import LineKind, PointingLine, directions, pointing_lines, weights_of
+from jaxpoint.pointing.line import KINDS, LineKind, PointingLine, directions, pointing_lines, weights_of
 from jaxpoint.pointing.posterior import Behaviour
 
 AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
@@ -29,12 +28,13 @@ SAME_SIDE = 0.7  # of people aim with the eye on the side of the hand that point
 SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
 
 
-class Corrects(Protocol):
-    """A model of bias: what it makes of lines, and how people scatter about them then."""
+@dataclass(frozen=True)
+class Correction:
+    """What takes a bias off the line of one kind, and how people scatter about it then."""
 
-    def correct(self, rays: Ray) -> Ray: ...
-    @property
-    def behaviour(self) -> Behaviour: ...
+    kind: str  # of `KINDS`
+    apply: Callable[[Mapping[str, PointingLine]], PointingLine]  # from lines of all kinds
+    behaviour: Behaviour
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def hypotheses(
     held: HeldJoints,
     kind: str,
     blend: Mapping[LineKind, float] | None = None,
-    correction: Mapping[str, Corrects] | None = None,
+    correction: Correction | None = None,
 ) -> list[Hypothesis]:
     """The ways of pointing that are weighed: one for a line that was asked for, three for `auto`.
 
@@ -59,7 +59,7 @@ def hypotheses(
         held: joints of G gestures.
         kind: one of `KINDS`, "blend", or "auto".
         blend: weights of a blend.
-        correction: models of bias by the line that they correct.
+        correction: of the line of its kind.
 
     Raises:
         ValueError: weights of a blend that cannot be used.
@@ -78,13 +78,17 @@ def hypotheses(
         ways = ((kind, held.joints, whole),)
     found = []
     for name, joints, weight in ways:
-        weights = np.tile(weights_of(blend or {} if name == "blend" else name), (count, 1))
-        lines = pointing_lines(joints, held.covariance, weights)
-        model = (correction or {}).get(name)
-        if model is not None:
-            lines = PointingLine(model.correct(lines.ray), lines.covariance)
-        found.append(Hypothesis(name, lines, weight, behaviour_of(name) if model is None else model.behaviour))
+        if correction is not None and correction.kind == name:
+            every = {kind: _lines(joints, held, kind) for kind in KINDS}
+            found.append(Hypothesis(name, correction.apply(every), weight, correction.behaviour))
+        else:
+            chosen = blend or {} if name == "blend" else name
+            found.append(Hypothesis(name, _lines(joints, held, chosen), weight, behaviour_of(name)))
     return found
+
+
+def _lines(joints: Joints, held: HeldJoints, kind) -> PointingLine:
+    return pointing_lines(joints, held.covariance, np.tile(weights_of(kind), (len(held.moments), 1)))
 
 
 def behaviour_of(kind: str) -> Behaviour:

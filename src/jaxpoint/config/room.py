@@ -12,6 +12,7 @@ from typing import Literal
 
 from jaxpoint.config.loading import load_settings
 from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.point import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.config.types import Count, Fraction, Positive
@@ -187,6 +188,7 @@ class RoomConfig:
     calibrate: CalibrateSettings = field(default_factory=CalibrateSettings)
     align: AlignSettings = field(default_factory=AlignSettings)
     validate: ValidateSettings = field(default_factory=ValidateSettings)
+    point: PointSettings = field(default_factory=PointSettings)
     simulate: SimulationSettings = field(default_factory=SimulationSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
 

@@ -1,0 +1,179 @@
+"""From people's arms in a session to answers: gestures, lines, probabilities, in float64."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.answer.answers import Answer, Scene, answers
+from jaxpoint.answer.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
+from jaxpoint.answer.hypotheses import Correction, hypotheses
+from jaxpoint.answer.lines import held_joints
+from jaxpoint.answer.words import Interval, Word, evidence_of, pair_words
+from jaxpoint.config.point import PointSettings
+from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.io.objects import Database, read_objects
+from jaxpoint.io.session import Session
+from jaxpoint.person.following import Following
+from jaxpoint.pointing.objects import Objects, face_corners
+from jaxpoint.pointing.room import Room
+
+
+@dataclass(frozen=True)
+class Pointed:
+    """What was pointed at in a session."""
+
+    answers: tuple[Answer, ...]
+    moments: tuple[int, ...]  # of each the place of the moment shown
+    people: tuple[int, ...]  # of each the place of the person in the head tracks
+    scene: Scene
+    notes: tuple[str, ...]
+
+
+def check_session(session: Session) -> None:
+    """Refuse a session in which no line can be measured, before anything is looked at.
+
+    Raises:
+        UsageError: it has no calibration.
+        InsufficientDataError: it has one camera.
+    """
+    if len(session.names) < 2:
+        raise InsufficientDataError(
+            f"'{session.folder}' has {len(session.names)} camera; a line in the room takes two views or more, so add a "
+            "second one."
+        )
+    if session.rig is None:
+        raise UsageError(f"'{session.folder}' has no calibration.json; give the room's by --calibration.")
+
+
+def scene_of(path: Path) -> tuple[Scene, Database]:
+    """What can be pointed at, from a file; the room is guessed from the objects where the file does not give it.
+
+    Raises:
+        FileFormatError: as `read_objects`.
+    """
+    database = read_objects(path)
+    with jax.enable_x64(True):
+        objects = database.objects
+        room = Room.around(objects) if database.room is None else database.room
+        return Scene(objects, _centres(objects), room, database.room is not None), database
+
+
+def pointed(
+    session: Session,
+    following: Following,
+    scene: Scene,
+    settings: PointSettings,
+    *,
+    times: Sequence[Interval] | None = None,
+    words: Sequence[Word] = (),
+    camera_covariance: Float[np.ndarray, "D D"] | None = None,
+    correction: Correction | None = None,
+) -> Pointed:
+    """Find the gestures and answer them.
+
+    Args:
+        session: whose arms these are; it has a calibration.
+        following: the arms.
+        scene: what can be pointed at.
+        settings: of gestures and lines.
+        times: when gestures are; they are looked for where this is None.
+        words: what was said; a word such as "this" is paired with a gesture, names and tags are evidence.
+        camera_covariance: of the cameras' 15 C numbers, where the calibration says it.
+        correction: a bias to take off.
+
+    Raises:
+        InsufficientDataError: there is no gesture, or everybody stands outside of the room.
+    """
+    assert session.rig is not None
+    tracks = arm_tracks(following, session.times)
+    holds = _given(tracks, times, settings) if times is not None else find_holds(tracks, settings.gesture)
+    if not holds:
+        raise _no_gesture(session, following, settings)
+    said = pair_words(words, [(hold.start_s, hold.end_s) for hold in holds])
+    with jax.enable_x64(True):
+        held = held_joints(session.rig, following, holds, camera_covariance)
+        ways = hypotheses(held, settings.line, settings.blend, correction)
+        found = answers(
+            holds,
+            held,
+            ways,
+            scene,
+            following.tracking.heads.people.tolist(),
+            [int(session.moments[moment]) for moment in held.moments],
+            evidence=evidence_of(said, scene.objects) if words else None,
+            words=[[word.text for word in own] for own in said],
+        )
+    if all(answer.surface is None for answer in found):
+        raise _outside(found, scene)
+    notes = _notes(scene, camera_covariance is not None, times, holds)
+    where = tuple(int(moment) for moment in held.moments), tuple(hold.person for hold in holds)
+    return Pointed(tuple(found), *where, scene, notes)
+
+
+def faces_of(objects: Objects) -> dict[str, list[Float[np.ndarray, "N 3"]]]:
+    """Outlines of the faces of every object, m; of a sphere three great circles."""
+    shapes = objects.shapes
+    corners = np.asarray(face_corners(shapes))
+    owner, used = np.asarray(shapes.owner), np.asarray(np.abs(shapes.right).sum(axis=1) > 0)
+    faces: dict[str, list[np.ndarray]] = {name: [] for name in objects.names}
+    for face in np.flatnonzero(used):
+        faces[objects.names[owner[face]]].append(corners[face])
+    turn = np.linspace(0, 2 * np.pi, 25)
+    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    for i in np.flatnonzero(np.asarray(shapes.radius) > 0):
+        circles = [np.asarray(shapes.center[i]) + float(shapes.radius[i]) * ring[:, order] for order in _PLANES]
+        faces[objects.names[owner[len(corners) + i]]] += circles
+    return faces
+
+
+_PLANES = ([0, 1, 2], [0, 2, 1], [2, 0, 1])
+
+
+def _centres(objects: Objects) -> Float[np.ndarray, "K 3"]:
+    faces = faces_of(objects)
+    return np.array([np.mean([face.mean(axis=0) for face in faces[name]], axis=0) for name in objects.names])
+
+
+def _given(tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings) -> list[Hold]:
+    holds = [hold_within(tracks, given.start_s, given.end_s, settings.gesture) for given in times]
+    missing = [given for given, hold in zip(times, holds) if hold is None]
+    if missing:
+        raise InsufficientDataError(
+            f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s no arm was measured in two views; correct "
+            "the times, or leave that gesture out."
+        )
+    return [hold for hold in holds if hold is not None]
+
+
+def _no_gesture(session: Session, following: Following, settings: PointSettings) -> InsufficientDataError:
+    measured = sum(arm is not None for arm in following.arms.values())
+    return InsufficientDataError(
+        f"No gesture was found in {len(session.times)} moments, in {measured} of which an arm was measured: nobody held "
+        f"one stretched out by {settings.gesture.min_stretch:.2f} of the stature for {settings.gesture.min_hold_s:.1f} s; "
+        "lower --gesture.min-stretch, or give --times."
+    )
+
+
+def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
+    low, high = np.asarray(scene.room.low), np.asarray(scene.room.high)
+    place = ", ".join(f"{value:.2f}" for value in found[0].origin)
+    room = " to ".join("(" + ", ".join(f"{value:.1f}" for value in corner) + ")" for corner in (low, high))
+    return InsufficientDataError(
+        f"The person of each of the {len(found)} gestures is outside of the room: the first fingertip lies at ({place}) "
+        f"m, the room is {room}; align the calibration to the room of these objects."
+    )
+
+
+def _notes(scene: Scene, known: bool, times: Sequence[Interval] | None, holds: Sequence[Hold]) -> tuple[str, ...]:
+    notes = []
+    if not scene.room_known:
+        notes.append("The room's size is guessed from its objects; [room] in a .toml of objects gives it.")
+    if not known:
+        notes.append("The calibration does not say how wrong it may be: its part of the lines' errors is left out.")
+    return tuple(notes)

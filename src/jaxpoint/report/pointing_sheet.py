@@ -1,0 +1,123 @@
+"""One gesture in every camera's image: the arm's axis, tip and base, the line, and the object's box (thesis, figures
+10 and 51)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from jaxpoint.report.person import titled
+
+_GAP = 6
+_PAPER = (250, 248, 246)  # blue, green, red
+_ARM, _TIP, _BASE, _LINE, _MEANT, _OTHER = (
+    (20, 130, 224), (80, 60, 235), (176, 80, 196), (20, 130, 224), (40, 40, 230), (220, 190, 60)
+)  # fmt: skip
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_DASH_PX = 9
+
+
+@dataclass(frozen=True)
+class Outline:
+    """An object as a camera sees it."""
+
+    name: str
+    edges: Sequence[Float[np.ndarray, "N 2"]]  # px, polylines: the parts in front of the camera
+    meant: bool  # the answer, in red; else one that it may be too
+
+
+@dataclass(frozen=True)
+class PointingView:
+    """One camera's image of one gesture; pixels (x, y) of that image."""
+
+    image: UInt8[np.ndarray, "H W 3"]  # blue, green, red
+    title: str
+    outlines: Sequence[Outline] = ()
+    line: Float[np.ndarray, "N 2"] | None = None  # px, from the tip on
+    tip: tuple[float, float] | None = None
+    base: tuple[float, float] | None = None
+    reason: str = ""  # why the view has no say
+
+
+def pointing_sheet(
+    views: Sequence[PointingView], *, columns: int = 3, width: int = 440
+) -> UInt8[np.ndarray, "H W 3"]:
+    """All views in a grid, blue, green, red.
+
+    The arm is a thick orange line from base (violet) to tip (red), the line of pointing dashes; the object that is
+    meant has a red box, another likely one a blue one.
+
+    Raises:
+        ValueError: there are no views.
+    """
+    if not views:
+        raise ValueError("A sheet needs at least one view; none was given.")
+    columns = min(columns, len(views))
+    cells = [_cell(view, width) for view in views]
+    rows = [cells[start : start + columns] for start in range(0, len(cells), columns)]
+    return np.concatenate([_row(row, columns, width) for row in rows])
+
+
+def _row(cells: Sequence[np.ndarray], columns: int, width: int) -> np.ndarray:
+    paper = np.full((max(map(len, cells)) + _GAP, columns * (width + _GAP) - _GAP, 3), _PAPER, np.uint8)
+    for place, cell in enumerate(cells):
+        paper[: len(cell), place * (width + _GAP) : place * (width + _GAP) + width] = cell
+    return paper
+
+
+def _cell(view: PointingView, width: int) -> np.ndarray:
+    high, wide = view.image.shape[:2]
+    scale = width / wide
+    size = width, max(1, round(high * scale))
+    image = cv2.resize(view.image, size, interpolation=cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC)
+
+    def place(pixels) -> np.ndarray:
+        return np.round((np.asarray(pixels, float) + 0.5) * scale - 0.5).astype(int)
+
+    for outline in sorted(view.outlines, key=lambda one: one.meant):
+        color = _MEANT if outline.meant else _OTHER
+        for edge in outline.edges:
+            cv2.polylines(image, [place(edge)], False, color, 2, cv2.LINE_AA)
+    if view.line is not None:
+        _dashed(image, place(view.line))
+    if view.tip is not None and view.base is not None:
+        cv2.line(image, tuple(place(view.base)), tuple(place(view.tip)), _ARM, 3, cv2.LINE_AA)
+    for pixel, color in ((view.base, _BASE), (view.tip, _TIP)):
+        if pixel is not None:
+            cv2.circle(image, tuple(place(pixel)), 5, (255, 255, 255), -1, cv2.LINE_AA)
+            cv2.circle(image, tuple(place(pixel)), 4, color, -1, cv2.LINE_AA)
+    for outline in view.outlines:
+        _name(image, outline, place)
+    return titled(image, view.title, view.reason)
+
+
+def _dashed(image: np.ndarray, line: np.ndarray) -> None:
+    """Dashes of equal length along a polyline."""
+    for start, end in zip(line[:-1], line[1:]):
+        length = float(np.hypot(*(end - start)))
+        if length > 10 * max(image.shape):
+            continue  # passes the camera closely
+        steps = np.arange(0.0, max(length, 1.0), 2 * _DASH_PX)
+        for a in steps:
+            p, q = (start + (end - start) * min(1.0, t / max(length, 1e-9)) for t in (a, a + _DASH_PX))
+            cv2.line(image, tuple(np.round(p).astype(int)), tuple(np.round(q).astype(int)), _LINE, 2, cv2.LINE_AA)
+
+
+def _name(image: np.ndarray, outline: Outline, place) -> None:
+    """The name above the object, or below where there is no room; nothing where it lies outside the image."""
+    corners = np.concatenate([place(edge) for edge in outline.edges]) if outline.edges else np.zeros((0, 2), int)
+    high, wide = image.shape[:2]
+    inside = corners[(corners >= 0).all(axis=1) & (corners < (wide, high)).all(axis=1)]
+    if not len(inside):
+        return
+    text = outline.name.encode("ascii", "replace").decode()
+    (w, h), _ = cv2.getTextSize(text, _FONT, 0.45, 1)
+    x = int(np.clip(inside[:, 0].mean() - w / 2, 2, max(2, wide - w - 2)))
+    y = int(inside[:, 1].min()) - 6
+    y = y if y - h > 2 else min(high - 4, int(inside[:, 1].max()) + h + 8)
+    cv2.rectangle(image, (x - 3, y - h - 3), (x + w + 3, y + 4), (255, 255, 255), -1)
+    cv2.putText(image, text, (x, y), _FONT, 0.45, _MEANT if outline.meant else (150, 110, 0), 1, cv2.LINE_AA)
