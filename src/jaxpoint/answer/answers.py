@@ -20,6 +20,7 @@ from jaxpoint.pointing.room import SURFACES, Room, end_in_room
 NOTHING = "nothing"
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
 WRONG_OF_MORE = 0.02
+JOINTS = ("head", "eye", "shoulder", "elbow", "wrist", "tip")
 SHOWN = 0.005  # smallest probability that is told
 
 
@@ -122,10 +123,22 @@ def answers(
     way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
     measured = [_measured(way, scene) for way in ways]
     said = list(words) or [()] * len(holds)
+    given = _Given(held, scene, people, frames, known_errors)
     return [
-        _answer(i, hold, held, ways[way_of[i]], measured[way_of[i]], scene, chance[i], people, frames, said[i], known_errors)
+        _answer(i, hold, given, ways[way_of[i]], measured[way_of[i]], chance[i], said[i])
         for i, hold in enumerate(holds)
-    ]  # fmt: skip
+    ]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """What all answers share."""
+
+    held: HeldJoints
+    scene: Scene
+    people: Sequence[int]
+    frames: Sequence[int]
+    known_errors: bool
 
 
 def _measured(way: Hypothesis, scene: Scene):
@@ -135,8 +148,15 @@ def _measured(way: Hypothesis, scene: Scene):
 
 
 def _answer(
-    i: int, hold: Hold, held: HeldJoints, way: Hypothesis, measured, scene: Scene, chance, people, frames, words, known
+    i: int,
+    hold: Hold,
+    given: _Given,
+    way: Hypothesis,
+    measured,
+    chance: Float[np.ndarray, " K+1"],
+    words: Sequence[str],
 ) -> Answer:
+    scene = given.scene
     hit, close, end = measured
     names = (*scene.objects.names, NOTHING)
     order = np.argsort(-chance, kind="stable")
@@ -150,18 +170,18 @@ def _answer(
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     return Answer(
         number=i + 1,
-        person=int(people[hold.person]),
+        person=int(given.people[hold.person]),
         start_s=hold.start_s,
         end_s=hold.end_s,
         time_s=hold.time_s,
-        frame=int(frames[i]),
+        frame=int(given.frames[i]),
         views=hold.views,
         line=way.kind,
-        joints={field: np.asarray(getattr(held.joints, field)[i]) for field in ("head", "eye", "shoulder", "elbow", "wrist", "tip")},
+        joints={name: np.asarray(getattr(given.held.joints, name)[i]) for name in JOINTS},
         origin=origin,
         direction=np.asarray(way.lines.ray.direction[i]),
         sigma_deg=_sigma_deg(np.asarray(way.lines.direction_covariance[i])),
-        calibration_sigma_deg=None,
+        calibration_sigma_deg=_sigma_deg(way.by_calibration[i]) if given.known_errors else None,
         hits=hits,
         surface=surface,
         nearest=tuple(
@@ -172,9 +192,9 @@ def _answer(
         ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),
         name=name,
         distance_m=_distance(name, hits, surface, origin, scene),
-        reasons=_reasons(hold, way, name, hits, told, surface, scene),
+        reasons=_reasons(hold, way, name, hits, surface),
         words=tuple(words),
-    )  # fmt: skip
+    )
 
 
 def _distance(name: str, hits: Sequence[Place], surface: Place | None, origin: np.ndarray, scene: Scene) -> float:
@@ -192,7 +212,7 @@ def _sigma_deg(covariance: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.trace(covariance) / 2)))
 
 
-def _reasons(hold: Hold, way: Hypothesis, name: str, hits, told, surface: Place | None, scene: Scene) -> tuple[str, ...]:
+def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surface: Place | None) -> tuple[str, ...]:
     reasons = []
     if hold.views <= 2:
         reasons.append(f"The arm was measured in {hold.views} views only; one more would check it.")
@@ -200,10 +220,10 @@ def _reasons(hold: Hold, way: Hypothesis, name: str, hits, told, surface: Place 
         reasons.append("The fingertip lies outside of the room; check the calibration, or the room's size.")
     met = [place.name for place in hits]
     if name != NOTHING and name not in met:
-        passed = f", which meets {met[0]}" if met else ", which meets no object"
-        reasons.append(f"{name} lies beside the line{passed}; it is still the likeliest.")
+        passed = f", which meets the {met[0]}" if met else ", which meets no object"
+        reasons.append(f"The {name} lies beside the line{passed}; it is still the likeliest.")
     elif name != NOTHING and met[0] != name:
-        reasons.append(f"{name} lies behind {met[0]}.")
+        reasons.append(f"The {name} lies behind the {met[0]}.")
     if way.kind == "eye-fingertip":
         reasons.append("The finger lies on the line of sight: the line goes from the eye over the fingertip.")
     return tuple(reasons)

@@ -123,9 +123,7 @@ def _hold(track: ArmTrack, members: Int[np.ndarray, " M"]) -> Hold:
     return Hold(track.person, track.moments[members], track.times[members], views)
 
 
-def _most_agreed(
-    track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSettings
-) -> Int[np.ndarray, " M"]:
+def _most_agreed(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSettings) -> Int[np.ndarray, " M"]:
     """The largest set of moments around one of them that agree with it; weighed by their views."""
     best, most = np.zeros(0, int), 0
     for seed in np.flatnonzero(free):

@@ -19,7 +19,7 @@ from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.line import angle_between
 from jaxpoint.pointing.joints import Joints, other_eye
-from jaxpoint.pointing.line import KINDS, LineKind, PointingLine, directions, pointing_lines, weights_of
+from jaxpoint.pointing.line import KINDS, PointingLine, directions, pointing_lines, weights_of
 from jaxpoint.pointing.posterior import Behaviour
 
 AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
@@ -45,12 +45,13 @@ class Hypothesis:
     lines: PointingLine  # leading axis G
     weight: Float[np.ndarray, " G"]  # its probability before the objects are looked at
     behaviour: Behaviour
+    by_calibration: Float[np.ndarray, "G 3 3"]  # the calibration's part of the direction's covariance
 
 
 def hypotheses(
     held: HeldJoints,
     kind: str,
-    blend: Mapping[LineKind, float] | None = None,
+    blend: Mapping[str, float] | None = None,
     correction: Correction | None = None,
 ) -> list[Hypothesis]:
     """The ways of pointing that are weighed: one for a line that was asked for, three for `auto`.
@@ -78,17 +79,19 @@ def hypotheses(
         ways = ((kind, held.joints, whole),)
     found = []
     for name, joints, weight in ways:
+        chosen = blend or {} if name == "blend" else name
         if correction is not None and correction.kind == name:
-            every = {kind: _lines(joints, held, kind) for kind in KINDS}
-            found.append(Hypothesis(name, correction.apply(every), weight, correction.behaviour))
+            every = {kind: _lines(joints, held.covariance, kind) for kind in KINDS}
+            lines, behaviour = correction.apply(every), correction.behaviour
         else:
-            chosen = blend or {} if name == "blend" else name
-            found.append(Hypothesis(name, _lines(joints, held, chosen), weight, behaviour_of(name)))
+            lines, behaviour = _lines(joints, held.covariance, chosen), behaviour_of(name)
+        own = np.asarray(_lines(joints, held.calibration, chosen).direction_covariance)
+        found.append(Hypothesis(name, lines, weight, behaviour, own))
     return found
 
 
-def _lines(joints: Joints, held: HeldJoints, kind) -> PointingLine:
-    return pointing_lines(joints, held.covariance, np.tile(weights_of(kind), (len(held.moments), 1)))
+def _lines(joints: Joints, covariance: Float[Array, "G 18 18"], kind: str | Mapping[str, float]) -> PointingLine:
+    return pointing_lines(joints, covariance, np.tile(weights_of(kind), (len(covariance), 1)))
 
 
 def behaviour_of(kind: str) -> Behaviour:

@@ -113,9 +113,7 @@ def pixels_of(rig: CameraRig, following: Following, hold: Hold, moment: int) -> 
     head_seen = following.sightings[moment, hold.person] >= 0
     if head_seen.sum() < 2:
         head_seen = np.asarray(rig.depth(head)) > 0
-    return ArmPixels(
-        slices, held, tips, tip_seen, np.asarray(rig.project(head)), head_seen, start, arm.direction, span
-    )
+    return ArmPixels(slices, held, tips, tip_seen, np.asarray(rig.project(head)), head_seen, start, arm.direction, span)
 
 
 def _covariance(arm: PointingArm, head_sigma: float) -> Float[np.ndarray, "12 12"]:

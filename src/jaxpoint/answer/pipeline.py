@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import jax
@@ -108,10 +108,11 @@ def pointed(
             [int(session.moments[moment]) for moment in held.moments],
             evidence=evidence_of(said, scene.objects) if words else None,
             words=[[word.text for word in own] for own in said],
+            known_errors=camera_covariance is not None,
         )
     if all(answer.surface is None for answer in found):
         raise _outside(found, scene)
-    notes = _notes(scene, camera_covariance is not None, times, holds)
+    notes = _notes(scene, camera_covariance is not None)
     where = tuple(int(moment) for moment in held.moments), tuple(hold.person for hold in holds)
     return Pointed(tuple(found), *where, scene, notes)
 
@@ -154,8 +155,8 @@ def _given(tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: Poin
 def _no_gesture(session: Session, following: Following, settings: PointSettings) -> InsufficientDataError:
     measured = sum(arm is not None for arm in following.arms.values())
     return InsufficientDataError(
-        f"No gesture was found in {len(session.times)} moments, in {measured} of which an arm was measured: nobody held "
-        f"one stretched out by {settings.gesture.min_stretch:.2f} of the stature for {settings.gesture.min_hold_s:.1f} s; "
+        f"No gesture was found in {len(session.times)} moments, {measured} of which show an arm: nobody held one "
+        f"stretched out by {settings.gesture.min_stretch:.2f} of the stature for {settings.gesture.min_hold_s:.1f} s; "
         "lower --gesture.min-stretch, or give --times."
     )
 
@@ -165,12 +166,12 @@ def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
     place = ", ".join(f"{value:.2f}" for value in found[0].origin)
     room = " to ".join("(" + ", ".join(f"{value:.1f}" for value in corner) + ")" for corner in (low, high))
     return InsufficientDataError(
-        f"The person of each of the {len(found)} gestures is outside of the room: the first fingertip lies at ({place}) "
-        f"m, the room is {room}; align the calibration to the room of these objects."
+        f"Whoever makes the {len(found)} gestures is outside of the room: the first fingertip lies at ({place}) m, the "
+        f"room is {room}; align the calibration to the room of these objects."
     )
 
 
-def _notes(scene: Scene, known: bool, times: Sequence[Interval] | None, holds: Sequence[Hold]) -> tuple[str, ...]:
+def _notes(scene: Scene, known: bool) -> tuple[str, ...]:
     notes = []
     if not scene.room_known:
         notes.append("The room's size is guessed from its objects; [room] in a .toml of objects gives it.")

@@ -37,7 +37,9 @@ def check_speaker() -> None:
         MissingDependencyError: the program is not installed.
     """
     if shutil.which(SPEAKER) is None:
-        raise MissingDependencyError(f"--speak needs the program {SPEAKER}, which is not installed; install it, or go without.")
+        raise MissingDependencyError(
+            f"--speak needs the program {SPEAKER}, which is not there; install it, or go without."
+        )
 
 
 def speak(text: str) -> None:
@@ -49,7 +51,9 @@ def speak(text: str) -> None:
     check_speaker()
     done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
     if done.returncode:
-        raise MissingDependencyError(f"{SPEAKER} failed ({done.stderr.strip() or done.returncode}); go without --speak.")
+        raise MissingDependencyError(
+            f"{SPEAKER} failed ({done.stderr.strip() or done.returncode}); go without --speak."
+        )
 
 
 def as_json(answer: Answer) -> Mapping[str, object]:

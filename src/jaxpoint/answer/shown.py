@@ -28,9 +28,8 @@ _STEPS = 24  # of a drawn edge: lenses bend it
 def room_scene(pointed: Pointed, rig: CameraRig) -> RoomScene:
     """The room, its objects and cameras, for the figures in 3-D."""
     room = pointed.scene.room
-    return RoomScene(
-        np.asarray(room.low), np.asarray(room.high), faces_of(pointed.scene.objects), np.asarray(rig.positions), rig.names
-    )
+    low, high = np.asarray(room.low), np.asarray(room.high)
+    return RoomScene(low, high, faces_of(pointed.scene.objects), np.asarray(rig.positions), rig.names)
 
 
 def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | None]]:
@@ -81,8 +80,8 @@ def _shown(answer: Answer, sheet: np.ndarray, meant: str) -> GestureShown:
         right = meant == answer.name
         truth = f"In truth: {_the(meant)}. " + ("The answer is right." if right else "The answer is wrong.")
     row = [
-        f"{answer.number}", f"{answer.time_s:.1f} s", f"{answer.person}", answer.name, f"{100 * answer.probability:.0f} %",
-        f"{answer.distance_m:.1f} m", answer.line, f"{answer.views}",
+        f"{answer.number}", f"{answer.time_s:.1f} s", f"{answer.person}", answer.name,
+        f"{100 * answer.probability:.0f} %", f"{answer.distance_m:.1f} m", answer.line, f"{answer.views}",
     ]  # fmt: skip
     if meant:
         row += [meant, "yes" if meant == answer.name else "no"]
@@ -98,6 +97,7 @@ def _shown(answer: Answer, sheet: np.ndarray, meant: str) -> GestureShown:
         line=_line(answer),
         reasons=answer.reasons,
         truth=truth,
+        right=meant == answer.name,
     )
 
 
@@ -184,5 +184,3 @@ def _projected(rig: CameraRig, camera: int, points: np.ndarray) -> list[Float[np
     good = (depth > NEAREST_M) & near & np.isfinite(pixels).all(axis=1)
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(good.astype(int))) + 1)
     return [pixels[run] for run in runs if good[run[0]] and len(run) > 1]
-
-

@@ -95,3 +95,8 @@ def hush_opencv(verbose: bool) -> None:
     if not verbose:
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
         os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+
+
+def user_cache() -> Path:
+    """Where the command line keeps what need not be made again: the user's cache folder."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxpoint"

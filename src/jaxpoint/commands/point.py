@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import json
-import shlex
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jaxpoint.commands.console import Console, Progress, table
+from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.errors import FileFormatError
+from jaxpoint.errors import FileFormatError, UsageError
 
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
+    from jaxpoint.calibration.result import Calibration
     from jaxpoint.io.session import Session
     from jaxpoint.person.following import Following
 
@@ -78,12 +77,15 @@ class Point(SeededOptions):
         """Write gestures, pictures and a page into `--out`."""
         hush_opencv(self.verbose)
         from jaxpoint.answer.sentence import as_json, check_speaker, sentence, speak
+        from jaxpoint.commands.answered import write_answers
         from jaxpoint.io.table import check_table_path
         from jaxpoint.runs import check_out
 
         out = self.needed_out("answers")
         check_out(out, self.force)
         check_table_path(out / f"gestures.{self.format}")
+        if self.settings.line == "blend":
+            check_blend(self.settings.blend)
         if self.speak:
             check_speaker()
         with console.progress() as progress:
@@ -98,8 +100,10 @@ class Point(SeededOptions):
                 speak(sentence(answer))
         return Outcome(figures, lines)
 
-    def answered(self, progress: Progress) -> tuple[Session, Following, Pointed]:
-        """Session, arms and answers; nothing is written."""
+    def answered(
+        self, progress: Progress, calibration: Calibration | None = None
+    ) -> tuple[Session, Following, Pointed]:
+        """Session, arms and answers; nothing is written. A calibration that was just made goes before a file's."""
         from jaxpoint.answer.pipeline import check_session, pointed, scene_of
         from jaxpoint.answer.words import read_times, read_words
         from jaxpoint.io.calibration import read_calibration
@@ -113,7 +117,13 @@ class Point(SeededOptions):
         scene, _ = scene_of(self._objects_file())
         times = None if self.times is None else read_times(self.times)
         words = () if self.words is None else read_words(self.words)
-        saved = read_calibration(self.calibration or self.session / "calibration.json")
+        if calibration is None:
+            saved = read_calibration(self.calibration or self.session / "calibration.json")
+            known, covariance = saved.rig.names, saved.covariance
+        else:
+            known, covariance = calibration.rig.names, calibration.camera_covariance
+            session = replace(session, rig=calibration.rig.select([known.index(name) for name in session.names]))
+            assert session.rig is not None
         views = watch_session(
             session,
             self.person,
@@ -122,12 +132,15 @@ class Point(SeededOptions):
             workers=self.workers,
             progress=progress,
         )
-        following = follow(
-            session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress
-        )
-        covariance = _in_order(saved.covariance, saved.rig.names, session.names)
+        following = follow(session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
         found = pointed(
-            session, following, scene, self.settings, times=times, words=words, camera_covariance=covariance
+            session,
+            following,
+            scene,
+            self.settings,
+            times=times,
+            words=words,
+            camera_covariance=_in_order(covariance, known, session.names),
         )
         return session, following, found
 
@@ -140,90 +153,33 @@ class Point(SeededOptions):
         return own
 
 
-def answer_lines(pointed: Pointed) -> tuple[str, ...]:
-    """A table for a person who reads the terminal."""
+def check_blend(blend: Mapping[str, float]) -> None:
+    """Refuse weights that make no line.
+
+    Raises:
+        UsageError: there are none, or one is of a line that does not exist.
+    """
+    from jaxpoint.pointing.line import weights_of
+
+    try:
+        weights_of(blend)
+    except ValueError as error:
+        raise UsageError(f"{error} Give them in [point.blend] of the file of --config.") from None
+
+
+def answer_lines(pointed: Pointed, truth: Mapping[int, str] | None = None) -> tuple[str, ...]:
+    """A line an answer, for a person who reads the terminal; with the truth where it is known."""
     from jaxpoint.answer.sentence import sentence
 
-    rows = [
-        (str(answer.number), f"{answer.time_s:.1f} s", str(answer.person), f"{100 * answer.probability:.0f} %", sentence(answer))
-        for answer in pointed.answers
-    ]  # fmt: skip
-    return tuple(line.rstrip() for line in table(("gesture", "time", "person", "sure", "answer"), rows))
-
-
-def write_answers(
-    command: Any,
-    out: Path,
-    session: Session,
-    following: Following,
-    pointed: Pointed,
-    *,
-    truth: Mapping[int, str] | None = None,
-    intro: Sequence[str] = (),
-    tiles: Sequence[tuple[str, str]] = (),
-    more: Callable[[Path], None] | None = None,
-) -> dict[str, Any]:
-    """The folder of answers, whole or not at all, and its figures.
-
-    Args:
-        command: with `session`, `seed`, `force`, `settings`, `person` and `track`.
-        truth: what is meant, by the number of the gesture.
-        intro, tiles: more for the page.
-        more: writes what else belongs into the folder.
-    """
-    from jaxpoint.answer.sentence import as_json
-    from jaxpoint.answer.shown import HEADER, gestures_shown, images_of, room_scene
-    from jaxpoint.answer.tables import gestures_table
-    from jaxpoint.config import DetectSettings, to_toml
-    from jaxpoint.io.table import write_table
-    from jaxpoint.report.pointing import write_pointing_report
-    from jaxpoint.runs import MARK, new_run, provenance, write_json
-
-    assert session.rig is not None
-    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session], command.seed)
-    config = RoomConfig(detect=DetectSettings(person=command.person), track=command.track, point=command.settings)
-    gestures = [as_json(answer) for answer in pointed.answers]
-    figures: dict[str, Any] = {"gestures": gestures, "notes": list(pointed.notes), "moments": len(session.moments)}
-    if truth is not None:
-        figures["truth"] = [truth.get(answer.number) for answer in pointed.answers]
-    images = images_of(session, pointed.moments)
-    shown = gestures_shown(session, following, pointed, images, truth)
-    sure = sum(not answer.ambiguous for answer in pointed.answers)
-    with new_run(out, command.force) as folder:
-        write_json(folder / MARK, made)
-        write_json(folder / "metrics.json", figures)
-        write_json(folder / "gestures.json", gestures)
-        (folder / "config.toml").write_text(to_toml(config), encoding="utf-8")
-        write_table(folder / f"gestures.{getattr(command, 'format', 'csv')}", gestures_table(pointed.answers))
-        _write_pictures(folder / "pictures", shown)
-        if more is not None:
-            more(folder)
-        write_pointing_report(
-            folder / "report.html",
-            room_scene(pointed, session.rig),
-            shown,
-            header=[*HEADER, "in truth", "right"] if truth else list(HEADER),
-            tiles=[
-                *tiles,
-                (str(len(pointed.answers)), "gestures"),
-                (str(sure), "with one clear answer"),
-                (str(len(pointed.scene.objects)), "objects known"),
-                (str(len(session.names)), "cameras"),
-            ],
-            notes=pointed.notes,
-            intro=intro,
-            provenance=made,
-            config_text=to_toml(config),
+    lines = []
+    for answer in pointed.answers:
+        meant = (truth or {}).get(answer.number)
+        verdict = "" if meant is None else " (right)" if meant == answer.name else f" (wrong: {meant})"
+        sure = f"{100 * answer.probability:3.0f} %"
+        lines.append(
+            f"{answer.number:3d}  {answer.time_s:6.1f} s  person {answer.person}  {sure}  {sentence(answer)}{verdict}"
         )
-    return figures
-
-
-def _write_pictures(folder: Path, shown: Sequence[Any]) -> None:
-    import cv2
-
-    folder.mkdir()
-    for gesture in shown:
-        cv2.imwrite(str(folder / f"gesture_{gesture.number}.jpg"), gesture.sheet[..., ::-1])
+    return tuple(lines)
 
 
 def _in_order(covariance: Any, known: Sequence[str], names: Sequence[str]) -> Any:

@@ -34,6 +34,4 @@ class PointSettings:
     """What the line is drawn through; `auto` weighs eye and fingertip against the forearm by how the arm is held."""
     blend: dict[str, float] = field(default_factory=dict)
     """Weights of a blend, such as { forearm = 0.3, "head-hand" = 0.7 }."""
-    method: Literal["axes", "thesis"] = "axes"
-    """`axes`: the forearm's axis in all views; `thesis`: endpoints of skin regions in the two best views."""
     gesture: GestureSettings = field(default_factory=GestureSettings)

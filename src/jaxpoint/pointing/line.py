@@ -40,7 +40,7 @@ class PointingLine(eqx.Module):
         return self.covariance[..., :3, :3]
 
 
-def weights_of(kind: LineKind | Mapping[LineKind, float]) -> Float[np.ndarray, "5"]:
+def weights_of(kind: str | Mapping[str, float]) -> Float[np.ndarray, "5"]:
     """The weight of each of `KINDS` in a line: one kind alone, or a blend of several.
 
     Raises:

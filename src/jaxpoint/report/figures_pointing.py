@@ -93,7 +93,11 @@ def _object(ax: Axes3D, name: str, faces: Sequence[np.ndarray], meant: bool, oth
     shown.set_alpha(0.5 if meant else 0.3 if other else 0.12)
     ax.add_collection3d(shown)
     if meant or other:
-        x, y, z = np.concatenate(list(faces)).max(axis=0) * [0, 0, 1] + np.concatenate(list(faces)).mean(axis=0) * [1, 1, 0]
+        x, y, z = np.concatenate(list(faces)).max(axis=0) * [0, 0, 1] + np.concatenate(list(faces)).mean(axis=0) * [
+            1,
+            1,
+            0,
+        ]
         ax.text(x, y, z + 0.08, name, color=color, weight="bold", fontsize=9, ha="center")
 
 

@@ -32,6 +32,7 @@ class GestureShown:
     line: Sequence[tuple[str, str]]  # what is known of the line
     reasons: Sequence[str]
     truth: str = ""  # where it is known
+    right: bool = False  # whether the answer is
 
 
 def write_pointing_report(
@@ -77,6 +78,7 @@ def write_pointing_report(
                 "title": gesture.title,
                 "sentence": gesture.sentence,
                 "truth": gesture.truth,
+                "right": gesture.right,
                 "sheet": sheet,
                 "room": drawn,
                 "chances": tables.Table(["object", "probability"], chances),

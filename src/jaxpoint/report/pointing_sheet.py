@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -43,9 +44,7 @@ class PointingView:
     reason: str = ""  # why the view has no say
 
 
-def pointing_sheet(
-    views: Sequence[PointingView], *, columns: int = 3, width: int = 440
-) -> UInt8[np.ndarray, "H W 3"]:
+def pointing_sheet(views: Sequence[PointingView], *, columns: int = 3, width: int = 440) -> UInt8[np.ndarray, "H W 3"]:
     """All views in a grid, blue, green, red.
 
     The arm is a thick orange line from base (violet) to tip (red), the line of pointing dashes; the object that is
@@ -97,7 +96,7 @@ def _cell(view: PointingView, width: int) -> np.ndarray:
 
 def _dashed(image: np.ndarray, line: np.ndarray) -> None:
     """Dashes of equal length along a polyline."""
-    for start, end in zip(line[:-1], line[1:]):
+    for start, end in pairwise(line):
         length = float(np.hypot(*(end - start)))
         if length > 10 * max(image.shape):
             continue  # passes the camera closely

@@ -10,6 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.loading import to_toml
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.errors import MissingDependencyError
@@ -20,6 +21,7 @@ from jaxpoint.simulate.wave import SimulatedWave
 CORNERS = ("lt", "rt", "lb", "rb")
 PIXELS = ("head", "elbow", "wrist", "tip")
 SHEET_WIDTH = 400  # px, of one camera in the preview
+TAPE_SIGMA_M = 0.005  # of each coordinate of a camera, measured by tape
 
 
 def write_session(
@@ -60,6 +62,7 @@ def write_session(
     _write_frames(folder, session, names, masks, report)
     if wave is not None:
         _write_wave(folder, wave, names, report)
+        write_camera_centres(folder / "camera_centres.csv", session.rig, session.seed)
     write_preview(folder / "preview.png", session)
 
 
@@ -158,6 +161,14 @@ def _write_wave(folder: Path, wave: SimulatedWave, names, report: Progress) -> N
             report("wave", frame + 1, wave.frames)
     rows = [[frame, *_metres(place)] for frame, place in enumerate(wave.light)]
     _write_csv(folder / "truth" / "light.csv", ["frame", "x_m", "y_m", "z_m"], rows)
+
+
+def write_camera_centres(path: Path, rig: CameraRig, seed: int) -> None:
+    """Where the cameras hang, as an installer would measure it by tape: with errors, for `jaxpoint align`."""
+    errors = np.random.default_rng([seed, 6]).normal(0.0, TAPE_SIGMA_M, (len(rig), 3))
+    places = np.asarray(rig.positions, np.float64) + errors
+    rows = [[name, *(f"{value:.3f}" for value in place), TAPE_SIGMA_M] for name, place in zip(rig.names, places)]
+    _write_csv(path, ["name", "x_m", "y_m", "z_m", "sigma_m"], rows)
 
 
 def _write_objects(path: Path, session: SimulatedSession) -> None:
