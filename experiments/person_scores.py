@@ -84,7 +84,7 @@ def score_session(
     person = person or PersonSettings()
     session = simulate_session(settings, seed)
     cameras = range(len(session.viewpoints))
-    rooms = [_learnt(session, camera, person) for camera in cameras]
+    rooms = [learnt(session, camera, person) for camera in cameras]
     focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
     views, scores = [], []
     for gesture in session.gestures:
@@ -167,7 +167,8 @@ def _apart(axes: Sequence[np.ndarray], true_axes: Sequence[np.ndarray]) -> float
     return float(np.degrees(np.arccos(np.clip(_middle(axes) @ _middle(true_axes), -1, 1))))
 
 
-def _learnt(session: SimulatedSession, camera: int, person: PersonSettings):
+def learnt(session: SimulatedSession, camera: int, person: PersonSettings):
+    """Background and motion threshold of one camera, from the empty room."""
     images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
     counts = np.array([motion_between(a, b, person.motion).edges for a, b in pairwise(images)])
     return learn_background(images, person.background), learn_threshold(counts, person.motion)

@@ -11,7 +11,8 @@ from jaxpoint.answer.sentence import sentence
 COLUMNS = (
     "gesture", "person", "start_s", "end_s", "time_s", "frame", "words", "line", "views", "tip_x_m", "tip_y_m",
     "tip_z_m", "direction_x", "direction_y", "direction_z", "azimuth_deg", "elevation_deg", "sigma_deg", "answer",
-    "distance_m", "probability", "ambiguous", "second", "second_probability", "nothing_probability", "hits", "hit_distances_m",
+    "distance_m", "probability", "ambiguous", "second", "second_probability", "nothing_probability", "hits",
+    "hit_distances_m",
     "nearest_1", "nearest_1_deg", "nearest_2", "nearest_2_deg", "nearest_3", "nearest_3_deg", "surface",
     "surface_distance_m", "sentence", "reasons",
 )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from jaxpoint.errors import FileFormatError
-from jaxpoint.io.files import read_table
+from jaxpoint.io.files import Row, read_table
 from jaxpoint.pointing.objects import Objects
 
 DEICTIC = frozenset({"this", "that", "these", "those", "here", "there"})
@@ -58,11 +57,8 @@ def read_words(path: Path) -> list[Word]:
     return [Word(row.text("word"), start, end) for start, end, row in _intervals(path, "word")]
 
 
-def _intervals(path: Path, *more: str):
-    rows = read_table(path, (*more, "start_s", "end_s"))
-    if not rows:
-        raise FileFormatError(f"{path} has 0 lines; give one a gesture or word, with start_s and end_s in seconds.")
-    for row in rows:
+def _intervals(path: Path, *more: str) -> Iterator[tuple[float, float, Row]]:
+    for row in read_table(path, (*more, "start_s", "end_s")):
         start, end = row.number("start_s"), row.number("end_s")
         if end < start:
             raise row.error(f"it ends at {end:g} s, before its start at {start:g} s; exchange them.")

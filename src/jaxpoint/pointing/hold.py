@@ -42,7 +42,7 @@ def _held_mean(values: Array, covariance: Array, seen: Array) -> tuple[Array, Ar
     middle = jax.lax.fori_loop(0, STEPS, step, start)
     weights = _weights(values, middle, seen)
     weights = weights / jnp.sum(weights)
-    off = jnp.where(seen[:, None], values - middle, 0.0)
+    off = jnp.where(seen[:, None], values - middle[None], 0.0)
     scatter = jnp.einsum("f,fi,fj->ij", weights, off, off)
     measured = jnp.einsum("f,fij->ij", weights, jnp.where(seen[:, None, None], covariance, 0.0))
     return middle, measured + scatter / _independent(off, seen, weights), weights
@@ -53,7 +53,7 @@ def _weighted(values: Array, weights: Array) -> Array:
 
 
 def _weights(values: Array, middle: Array, seen: Array) -> Array:
-    return jnp.where(seen, 1.0 / jnp.maximum(safe_norm(values - middle), _SMALLEST_M), 0.0)
+    return jnp.where(seen, 1.0 / jnp.maximum(safe_norm(values - middle[None]), _SMALLEST_M), 0.0)
 
 
 def _independent(off: Array, seen: Array, weights: Array) -> Array:

@@ -1,0 +1,69 @@
+"""What the calibration's error does to an arm, against finite differences of everything measured anew."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxpoint.answer.measured import ArmPixels, arm_numbers, by_calibration
+from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.detect.arm import SLICES
+
+HEAD, TIP = np.array([0.1, 0.0, 1.6]), np.array([0.7, -0.2, 1.45])
+AHEAD = np.array([0.8, -0.1, 0.2]) / np.linalg.norm([0.8, -0.1, 0.2])
+SPAN = np.array([0.19, 0.39])
+
+
+def rig() -> CameraRig:
+    angle = np.deg2rad([-80.0, 10.0, 100.0])
+    positions = np.stack([3 * np.cos(angle), 3 * np.sin(angle), [1.8, 2.3, 2.0]], axis=1)
+    forward = np.array([0.2, 0.0, 1.2]) - positions
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
+    return CameraRig.from_parameters(
+        np.full((3, 2), 500.0), np.tile([320.0, 240.0], (3, 1)), np.tile([-0.1, 0.01, 0, 0, 0], (3, 1)), rotation,
+        -np.einsum("cij,cj->ci", rotation, positions), np.tile([640, 480], (3, 1)),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def seen() -> ArmPixels:
+    rng = np.random.default_rng(0)
+    places = TIP - np.linspace(SPAN[0] - 0.01, SPAN[1] + 0.01, SLICES)[:, None] * AHEAD
+    slices = np.asarray(rig().project(places)).transpose(1, 0, 2)
+    held = np.ones(slices.shape[:2], bool)
+    held[2, :3] = False
+
+    def noisy(pixels):
+        return np.asarray(pixels) + rng.normal(0.0, 0.4, np.shape(pixels))
+
+    both = np.ones(3, bool)
+    tip, head = noisy(rig().project(TIP)), noisy(rig().project(HEAD))
+    return ArmPixels(noisy(slices), held, tip, both, head, both, TIP, AHEAD, SPAN)
+
+
+def test_the_arm_is_where_its_pixels_say(seen):
+    head, elbow, wrist, tip = np.asarray(arm_numbers(rig(), seen)).reshape(4, 3)
+    for got, place in ((head, HEAD), (tip, TIP), (wrist, TIP - SPAN[0] * AHEAD), (elbow, TIP - SPAN[1] * AHEAD)):
+        assert np.linalg.norm(got - place) < 0.006
+
+
+def test_derivatives_by_the_calibration_are_those_of_finite_differences(seen):
+    cameras = rig()
+
+    @jax.jit
+    def moved(changes):
+        own = jax.vmap(Camera.perturbed)(cameras.cameras, changes.reshape(3, 15))
+        return arm_numbers(CameraRig(own, cameras.image_sizes, cameras.names), seen)
+
+    stated = np.asarray(by_calibration(cameras, seen))
+    assert stated.shape == (12, 45)
+    steps = np.tile([*[1e-6] * 6, *[1e-3] * 4, *[1e-6] * 5], 3)
+    rng = np.random.default_rng(1)
+    for _ in range(4):  # directions in which all numbers change at once
+        change = steps * rng.normal(size=45)
+        wanted = (moved(jnp.asarray(change)) - moved(jnp.asarray(-change))) / 2
+        np.testing.assert_allclose(stated @ change, wanted, rtol=2e-3, atol=2e-3 * np.abs(wanted).max())
