@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass
 import cv2
 import jax
 import numpy as np
-from person_scores import learnt
 
 from jaxpoint.answer.holds import arm_tracks, find_holds
 from jaxpoint.answer.lines import held_joints
@@ -22,6 +21,7 @@ from jaxpoint.detect.thesis import thesis_forearm
 from jaxpoint.person.following import follow
 from jaxpoint.person.views import watch
 from jaxpoint.simulate.session import SimulatedSession, simulate_session
+from person_scores import learnt
 
 LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 SPARE = 2  # frames between those that are looked at during the hold

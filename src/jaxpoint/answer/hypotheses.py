@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,9 @@ from jaxtyping import Array, Float
 
 from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.line import angle_between
-from jaxpoint.pointing.joints import Joints, other_eye
+from jaxpoint.geometry.line import Ray, angle_between
+from jaxpoint.pointing.bias.bias import Bias, corrected
+from jaxpoint.pointing.joints import Joints, is_left, other_eye
 from jaxpoint.pointing.line import KINDS, PointingLine, directions, pointing_lines, weights_of
 from jaxpoint.pointing.posterior import Behaviour
 
@@ -82,12 +84,35 @@ def hypotheses(
         chosen = blend or {} if name == "blend" else name
         if correction is not None and correction.kind == name:
             every = {kind: _lines(joints, held.covariance, kind) for kind in KINDS}
-            lines, behaviour = correction.apply(every), correction.behaviour
+            lines, behaviour = _corrected(correction, every, joints), correction.behaviour
         else:
             lines, behaviour = _lines(joints, held.covariance, chosen), behaviour_of(name)
         own = np.asarray(_lines(joints, held.calibration, chosen).direction_covariance)
         found.append(Hypothesis(name, lines, weight, behaviour, own))
     return found
+
+
+def correction_of(bias: Bias) -> Correction:
+    """What a fitted bias takes off, and the scatter that it leaves on people who were not fitted."""
+    azimuth, elevation = np.sqrt(np.diag(np.asarray(bias.spread.scale)))
+    behaviour = Behaviour(azimuth, elevation, freedom=int(bias.spread.freedom))
+    return Correction(bias.lines[0], partial(corrected, bias), behaviour)
+
+
+def _corrected(correction: Correction, lines: Mapping[str, PointingLine], joints: Joints) -> PointingLine:
+    """Biases are those of right arms; a left arm's is its mirror image."""
+    own = correction.apply(lines)
+    mirrored = _mirrored(correction.apply({kind: _mirrored(line) for kind, line in lines.items()}))
+    left = jax.vmap(is_left)(joints)
+    return jax.tree.map(lambda a, b: jnp.where(left.reshape(-1, *[1] * (a.ndim - 1)), b, a), own, mirrored)
+
+
+def _mirrored(line: PointingLine) -> PointingLine:
+    """In the plane y = 0."""
+    sign = jnp.array([[1.0, -1.0, 1.0]])
+    both = jnp.concatenate([sign, sign], axis=1)
+    ray = Ray(line.ray.origin * sign, line.ray.direction * sign)
+    return PointingLine(ray, line.covariance * both[:, :, None] * both[:, None, :])
 
 
 def _lines(joints: Joints, covariance: Float[Array, "G 18 18"], kind: str | Mapping[str, float]) -> PointingLine:

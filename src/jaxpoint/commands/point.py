@@ -46,6 +46,8 @@ class Point(SeededOptions):
     """CSV of gestures, `start_s,end_s`; they are looked for without it."""
     words: Path | None = None
     """CSV of what was said, `word,start_s,end_s`: "this" and its like pair with gestures, names count as evidence."""
+    bias: Path | None = None
+    """bias.toml of `bias fit`: how far people's lines miss, to be taken off."""
     speak: bool = False
     """Say the answers aloud; needs espeak-ng."""
     follow: bool = False
@@ -104,8 +106,10 @@ class Point(SeededOptions):
         self, progress: Progress, calibration: Calibration | None = None
     ) -> tuple[Session, Following, Pointed]:
         """Session, arms and answers; nothing is written. A calibration that was just made goes before a file's."""
+        from jaxpoint.answer.hypotheses import correction_of
         from jaxpoint.answer.pipeline import check_session, pointed, scene_of
         from jaxpoint.answer.words import read_times, read_words
+        from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.io.session import open_session
         from jaxpoint.person.following import follow
@@ -115,6 +119,7 @@ class Point(SeededOptions):
         check_session(session)
         assert session.rig is not None
         scene, _ = scene_of(self._objects_file())
+        correction = None if self.bias is None else correction_of(read_bias(self.bias))
         times = None if self.times is None else read_times(self.times)
         words = () if self.words is None else read_words(self.words)
         if calibration is None:
@@ -141,6 +146,7 @@ class Point(SeededOptions):
             times=times,
             words=words,
             camera_covariance=_in_order(covariance, known, session.names),
+            correction=correction,
         )
         return session, following, found
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import normalised
@@ -67,6 +67,11 @@ def other_eye(joints: Joints) -> Joints:
     left = _left(joints.head, joints.tip)
     mirrored = joints.eye - 2.0 * (left @ (joints.eye - joints.head)) * left
     return Joints(joints.head, mirrored, joints.shoulder, joints.elbow, joints.wrist, joints.tip)
+
+
+def is_left(joints: Joints) -> Bool[Array, ""]:
+    """Whether the pointing arm is the left one: its eye and shoulder lie to the left of the gaze. No leading axes."""
+    return _left(joints.head, joints.tip) @ (joints.shoulder - joints.head) > 0
 
 
 def _left(head: Array, tip: Array) -> Array:

@@ -1,0 +1,142 @@
+"""Is the thing pointed at named right? Simulated sessions from pixels to answers, beside the thesis's method.
+
+People of all statures, skin tones and sleeves that show the forearm stand in a furnished room and point, accurately
+or approximately, at one of its objects or at nothing; six cameras look on, whose calibration is the true one. A
+gesture that is not found, and one without an arm, counts as wrong. The model of bias is fitted on other people: those
+of other sessions. Sessions of seeds from 10,000 on are for the final run alone; nothing was tuned on them.
+
+    python experiments/pointing_evaluation.py --seeds 40 52 --gestures 4 --out pointing
+
+What pixels gave is kept in the folder of --out, so that a run that was cut short goes on where it stopped, and answers
+can be drawn anew without pixels. --bias FILE also writes the model that is fitted on all these people.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+from itertools import pairwise
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from person_evaluation import settings_of
+
+FOLDS = 5  # of sessions: the people of one are answered with the bias of the others
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)  # of probability
+RESAMPLES = 2000
+MODES = ("raw", "with the model", "thesis")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", nargs=2, type=int, default=(40, 42), metavar=("FIRST", "END"))
+    parser.add_argument("--gestures", type=int, default=4, help="of one session, each by another person")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=Path("pointing"))
+    parser.add_argument("--bias", type=Path, default=None, help="where to write the bias of all these people")
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    jobs = [(seed, args.gestures, args.out / f"seed_{seed}.json") for seed in range(*args.seeds)]
+    left = [job for job in jobs if not job[-1].exists()]
+    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
+        for done, seed in enumerate(pool.imap_unordered(_keep, left), start=1):
+            print(f"session {seed} measured, {done} of {len(left)}", flush=True)
+    sessions = [json.loads(path.read_text()) for *_, path in jobs]
+    with jax.enable_x64(True):
+        rows = answered(sessions)
+        if args.bias is not None:
+            from jaxpoint.io.bias import write_bias
+            from pointing_answers import fitted
+
+            write_bias(args.bias, fitted(sessions))
+    (args.out / "answers.json").write_text(json.dumps(rows))
+    table = summary(rows)
+    (args.out / "evaluation.md").write_text(table)
+    print(table)
+
+
+def _keep(job: tuple[int, int, Path]) -> int:
+    from pointing_scores import kept_session, quiet
+
+    seed, gestures, path = job
+    quiet()
+    beside = path.with_suffix(".part")
+    beside.write_text(json.dumps(kept_session(settings_of(gestures), seed)))
+    beside.rename(path)
+    return seed
+
+
+def answered(sessions: list[dict]) -> list[dict]:
+    """Every gesture answered in every mode; the model's people are those of other sessions."""
+    from pointing_answers import answers_of, fitted
+
+    rows = []
+    for fold in range(min(FOLDS, len(sessions))):
+        own = [session for i, session in enumerate(sessions) if i % FOLDS == fold]
+        others = [session for i, session in enumerate(sessions) if i % FOLDS != fold]
+        model = fitted(others)
+        for session in own:
+            rows += answers_of(session, model)
+    return rows
+
+
+def summary(rows: list[dict]) -> str:
+    """All figures as Markdown."""
+    lines = [f"{len(rows)} gestures, {sum(row['found'] for row in rows)} of them found.", ""]
+    lines += ["| named right, % | raw | with the model | thesis |", "|---|---|---|---|"]
+    groups = {law: [row for row in rows if row["law"] == law] for law in ("accurate", "approximate")}
+    groups["all"] = rows
+    groups["at nothing"] = [row for row in rows if row["target"] == "nothing"]
+    groups["two views only"] = [row for row in rows if row["found"] and row["views"] <= 2]
+    for name, own in groups.items():
+        cells = [_share(np.array([row[mode]["name"] == row["target"] for row in own])) for mode in MODES]
+        lines.append(f"| {name} (n = {len(own)}) | {' | '.join(cells)} |")
+    lines += ["", "| great-circle error, degrees: median | raw | with the model | thesis |", "|---|---|---|---|"]
+    for name, own in groups.items():
+        aimed = [row for row in own if row["target"] != "nothing"]
+        cells = [
+            _median([row[mode]["error_deg"] for row in aimed if row[mode]["error_deg"] is not None]) for mode in MODES
+        ]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join([*lines, "", *_reliability(rows), ""])
+
+
+def _reliability(rows: list[dict]) -> list[str]:
+    """Of answers given with a probability, how many are right; and the expected calibration error."""
+    lines = ["| probability, with the model | answers | mean probability | right |", "|---|---|---|---|"]
+    given = np.array([row["with the model"]["probability"] for row in rows if row["found"]])
+    right = np.array([row["with the model"]["name"] == row["target"] for row in rows if row["found"]])
+    error = 0.0
+    for low, high in pairwise(BINS):
+        own = (given > low) & (given <= high)
+        if own.any():
+            error += own.mean() * abs(given[own].mean() - right[own].mean())
+            lines.append(
+                f"| {low:.2f} to {high:.2f} | {own.sum()} | {given[own].mean():.2f} | {right[own].mean():.2f} |"
+            )
+    return [*lines, "", f"Expected calibration error: {error:.3f}"]
+
+
+def _share(right: np.ndarray) -> str:
+    """Per cent with its Wilson interval of 95 %."""
+    if not len(right):
+        return "–"
+    n, p, z = len(right), right.mean(), 1.96
+    middle, half = p + z**2 / (2 * n), z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
+    low, high = (middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)
+    return f"{100 * p:.0f} ({100 * low:.0f} to {100 * high:.0f})"
+
+
+def _median(values: list[float]) -> str:
+    if not values:
+        return "–"
+    rng = np.random.default_rng(0)
+    low, high = np.percentile([np.median(rng.choice(values, len(values))) for _ in range(RESAMPLES)], [2.5, 97.5])
+    return f"{np.median(values):.1f} ({low:.1f} to {high:.1f})"
+
+
+if __name__ == "__main__":
+    main()

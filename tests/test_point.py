@@ -1,0 +1,159 @@
+"""`jaxpoint point` and `jaxpoint demo` from pixels: one gesture of the embedded session, then what must be refused."""
+
+import csv
+import json
+import shutil
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import pytest
+
+from jaxpoint.cli import main
+
+MOMENTS = range(28, 45)  # the second gesture, at the window, with what is before and after
+KEPT = ("calibration.json", "camera_centres.csv", "objects.csv")
+
+
+def run(*arguments, capsys):
+    code = main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A session of one gesture: the embedded one, with fewer moments."""
+    short = tmp_path_factory.mktemp("point") / "session"
+    short.mkdir()
+    with as_file(files("jaxpoint") / "data" / "session") as whole:
+        for name in ("videos", "empty", "wave"):
+            (short / name).symlink_to(whole / name, target_is_directory=True)
+        for name in KEPT:
+            shutil.copy(whole / name, short / name)
+        (short / "truth").mkdir()
+        header, *lines = (whole / "timestamps.csv").read_text().splitlines()
+        chosen = [line for line in lines if int(line.split(",")[0]) in MOMENTS]
+        (short / "timestamps.csv").write_text("\n".join([header, *chosen]) + "\n")
+        header, *lines = (whole / "truth" / "gestures.csv").read_text().splitlines()
+        (short / "truth" / "gestures.csv").write_text("\n".join([header, lines[1]]) + "\n")
+    return short
+
+
+@pytest.fixture(scope="module")
+def options(folder):
+    return "--workers", 1, "--cache", folder.parent / "cache"
+
+
+def test_a_gesture_is_answered_from_pixels(folder, options, tmp_path, capsys):
+    code, out, err = run("point", folder, *options, "--out", tmp_path / "answers", "--follow", capsys=capsys)
+    assert code == 0, err
+    (line,) = out.splitlines()
+    answer = json.loads(line)
+    assert (answer["answer"], answer["line"]) == ("window", "eye-fingertip")
+    assert answer["probability"] > 0.5
+    assert answer["hits"][0]["name"] == "window"
+    assert 0.5 < answer["distance_m"] < 2.0
+    assert sum(answer["probabilities"].values()) <= 1 + 1e-9
+    with (tmp_path / "answers" / "gestures.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["answer"], row["nearest_1"]) == ("window", "window")
+    assert json.loads((tmp_path / "answers" / "gestures.json").read_text()) == [answer]
+    page = (tmp_path / "answers" / "report.html").read_text()
+    assert "the window" in page.lower()
+    assert (tmp_path / "answers" / "pictures" / "gesture_1.jpg").stat().st_size > 10_000
+
+
+def test_words_are_paired_and_times_are_taken(folder, options, tmp_path, capsys):
+    (tmp_path / "words.csv").write_text("word,start_s,end_s\nthat,5.3,5.5\nlamp,5.6,5.9\n")
+    (tmp_path / "times.csv").write_text("start_s,end_s\n5.4,6.2\n")
+    given = ("--words", tmp_path / "words.csv", "--times", tmp_path / "times.csv")
+    code, out, err = run("point", folder, *options, *given, "--out", tmp_path / "answers", "--json", capsys=capsys)
+    assert code == 0, err
+    (answer,) = json.loads(out)["gestures"]
+    assert answer["words"] == ["that", "lamp"]
+    assert answer["start_s"] >= 5.4 - 1e-9
+    assert answer["end_s"] <= 6.2 + 1e-9
+
+
+def shifted(path: Path, folder: Path) -> Path:
+    """The objects 30 m away."""
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        row.update({key: str(float(value) + 30) for key, value in row.items() if key.endswith("_x")})
+    with (folder / "far.csv").open("w") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)
+    return folder / "far.csv"
+
+
+def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_path, capsys):
+    calibration = json.loads((folder / "calibration.json").read_text())
+    no_scale, small = tmp_path / "no_scale.json", tmp_path / "small.json"
+    no_scale.write_text(json.dumps({**calibration, "unit": "arbitrary"}))
+    cameras = [{**camera, "size": [1280, 720]} for camera in calibration["cameras"]]
+    small.write_text(json.dumps({**calibration, "cameras": cameras}))
+    one = tmp_path / "one"
+    (one / "videos").mkdir(parents=True)
+    shutil.copy(folder / "videos" / "cam_0.mp4", one / "videos")
+    for name in KEPT:
+        shutil.copy(folder / name, one / name)
+    (tmp_path / "times.csv").write_text("start_s,end_s\n50,51\n")
+    cases = [
+        ((folder, "--gesture.min-stretch", 0.99), 4, "No gesture was found in 17 moments"),
+        ((one,), 4, "has 1 camera; a line in the room takes two views or more"),
+        ((folder, "--calibration", no_scale), 2, "has no metric scale"),
+        ((folder, "--calibration", small), 2, "is 512 x 288 px, but"),
+        ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "is outside of the room"),
+        ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured"),
+        ((folder, "--line", "blend"), 2, "The weights of a blend"),
+        ((folder, "--objects", tmp_path / "none.csv"), 7, "There is no file"),
+    ]
+    before = sorted(tmp_path.rglob("*"))
+    for arguments, wanted, message in cases:
+        code, out, err = run("point", *arguments, *options, "--out", tmp_path / "out", capsys=capsys)
+        assert code == wanted, (arguments, err)
+        assert message in err
+        assert len(err.splitlines()) == 1
+        assert not out
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_who_cannot_speak_says_so_before_any_work(folder, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda program: None)
+    code, _, err = run("point", folder, "--speak", "--out", tmp_path / "out", capsys=capsys)
+    assert code == 3
+    assert "needs the program espeak-ng" in err
+
+
+def test_answers_are_spoken(monkeypatch):
+    from jaxpoint.answer.sentence import speak
+
+    said = []
+    monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr(
+        "subprocess.run", lambda command, **_: said.append(command) or type("Done", (), {"returncode": 0})
+    )
+    speak("the window, 1.1 m away")
+    assert said == [["espeak-ng", "the window, 1.1 m away"]]
+
+
+def test_the_demo_goes_from_the_waved_light_to_the_named_object(folder, options, tmp_path, capsys, monkeypatch):
+    @contextmanager
+    def session():
+        yield folder
+
+    monkeypatch.setattr("jaxpoint.commands.demo.embedded_session", session)
+    monkeypatch.setattr("jaxpoint.compilation.keep_programs", lambda folder: folder)
+    code, out, err = run("demo", *options, "--out", tmp_path / "run", "--json", capsys=capsys)
+    assert code == 0, err
+    figures = json.loads(out)
+    assert (figures["right"], figures["all"], figures["truth"]) == (1, 1, ["window"])
+    assert figures["camera_mm"] < 20
+    assert figures["gestures"][0]["calibration_sigma_deg"] < 0.5
+    assert "The answer is right." in (tmp_path / "run" / "report.html").read_text()
+    kept = json.loads((tmp_path / "run" / "calibration" / "calibration.json").read_text())
+    assert kept["unit"] == "m"
+    assert kept["covariance"]["gauge"] == "landmarks"
