@@ -5,13 +5,13 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 WORKERS ?= auto
 # Annotated shapes are checked in tests; not in commands, whose defaults stand in for arguments yet to be given.
-CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person
+CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person answer
 TYPED := $(shell echo $(CHECKED:%=jaxpoint.%) beartype.beartype | tr ' ' ',')
 
 .PHONY: demo test lint bench-quick
 
 demo: $(VENV)/.core
-	$(BIN)/jaxpoint demo --out demo-run --force
+	$(BIN)/jaxpoint demo --out demo-run --force --open
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --jaxtyping-packages="$(TYPED)"

@@ -25,7 +25,7 @@ def blocks(language: str) -> list[str]:
 COMMANDS = sorted(
     set(
         re.findall(
-            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo) [^`#\n]*", README
+            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo|point) [^`#\n]*", README
         )
     )
 )
@@ -46,6 +46,7 @@ def test_the_commands_were_found():
         "align",
         "validate",
         "diff",
+        "point",
         "demo",
     }
 

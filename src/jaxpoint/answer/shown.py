@@ -23,6 +23,7 @@ from jaxpoint.report.pointing_sheet import Outline, PointingView, pointing_sheet
 HEADER = ("gesture", "time", "person", "answer", "probability", "distance", "line", "views")
 NEAREST_M = 0.15  # what is nearer to a camera's plane is not drawn
 _STEPS = 24  # of a drawn edge: lenses bend it
+_FOLDED_PX = 2.0
 
 
 def room_scene(pointed: Pointed, rig: CameraRig) -> RoomScene:
@@ -177,10 +178,18 @@ def _closed(corners: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
 
 
 def _projected(rig: CameraRig, camera: int, points: np.ndarray) -> list[Float[np.ndarray, "M 2"]]:
-    """Runs of points in front of a camera, as pixels; what lies far outside of the image is left out."""
+    """Runs of points in front of a camera, as pixels.
+
+    Far outside of the image a lens model folds back and means nothing: what does not undistort to where it came from
+    is left out.
+    """
     pixels, depth = np.asarray(rig.project(points))[:, camera], np.asarray(rig.depth(points))[:, camera]
     size = np.asarray(rig.image_sizes)[camera]
-    near = (np.abs(pixels - size / 2) < 1.5 * size).all(axis=1)  # beyond, the lens model means nothing
-    good = (depth > NEAREST_M) & near & np.isfinite(pixels).all(axis=1)
+    straight = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ np.asarray(rig.matrices)[camera].T
+    straight = straight[:, :2] / np.where(np.abs(straight[:, 2:]) > 1e-9, straight[:, 2:], 1.0)
+    back, valid = rig.undistort(np.repeat(pixels[:, None], len(rig), axis=1))
+    same = np.linalg.norm(np.asarray(back)[:, camera] - straight, axis=1) < _FOLDED_PX
+    near = (np.abs(pixels - size / 2) < size).all(axis=1)
+    good = (depth > NEAREST_M) & near & same & np.asarray(valid)[:, camera] & np.isfinite(pixels).all(axis=1)
     runs = np.split(np.arange(len(points)), np.flatnonzero(np.diff(good.astype(int))) + 1)
     return [pixels[run] for run in runs if good[run[0]] and len(run) > 1]

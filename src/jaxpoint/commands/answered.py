@@ -27,6 +27,7 @@ def write_answers(
     *,
     truth: Mapping[int, str] | None = None,
     intro: Sequence[str] = (),
+    links: Sequence[tuple[str, str]] = (),
     tiles: Sequence[tuple[str, str]] = (),
     more: Callable[[Path], object] | None = None,
     title: str = "What was pointed at",
@@ -37,7 +38,7 @@ def write_answers(
     Args:
         command: its settings.
         truth: what is meant, by the number of the gesture.
-        intro, tiles, title, kind: of the page.
+        intro, links, tiles, title, kind: of the page.
         more: writes what else belongs into the folder.
     """
     from jaxpoint.answer.sentence import as_json
@@ -81,6 +82,7 @@ def write_answers(
             ],
             notes=pointed.notes,
             intro=intro,
+            links=links,
             title=title,
             kind=kind,
             provenance=made,

@@ -28,8 +28,7 @@ INTRO = (
     "through the dark room, from which it worked out the cameras; their places, measured by tape, put them into the "
     "room. Then it watched the people, found {gestures} gestures, and named what each of them means.",
     "The room is simulated, so the truth is known: {right} of {all} answers are right. The cameras were placed within "
-    "{apart:.0f} mm of where they are, {tape:.0f} mm being the error of the tape alone. How they were found stands in "
-    "`calibration/report.html` beside this page.",
+    "{apart:.0f} mm of where they are; the tape alone misses by {tape:.0f} mm.",
 )
 
 
@@ -111,6 +110,7 @@ class Demo(SeededOptions):
             truth=meant,
             intro=[text.format(**told) for text in INTRO],
             tiles=[(f"{right} of {told['all']}", "named right"), (f"{apart:.0f} mm", "cameras off the truth")],
+            links=[("How the cameras were found", "calibration/report.html")],
             more=lambda folder: write_run(folder / "calibration", calibration, self.room, command="jaxpoint demo"),
             title="From pixels to what people point at",
             kind="jaxpoint demo",

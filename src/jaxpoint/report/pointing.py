@@ -48,6 +48,7 @@ def write_pointing_report(
     title: str = "What was pointed at",
     kind: str = "jaxpoint point",
     intro: Sequence[str] = (),
+    links: Sequence[tuple[str, str]] = (),
 ) -> None:
     """Write the page, whole or not at all.
 
@@ -62,6 +63,7 @@ def write_pointing_report(
         config_text: the settings as TOML.
         title, kind: of the page.
         intro: sentences before the table.
+        links: to other pages, name and address.
 
     Raises:
         OSError: the folder is missing or not writable.
@@ -99,6 +101,7 @@ def write_pointing_report(
         ],
         tiles=tiles,
         intro=intro,
+        links=links,
         answers=tables.Table(list(header), [list(gesture.row) for gesture in gestures]),
         notes=notes,
         gestures=shown,

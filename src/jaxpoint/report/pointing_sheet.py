@@ -96,14 +96,13 @@ def _cell(view: PointingView, width: int) -> np.ndarray:
 
 def _dashed(image: np.ndarray, line: np.ndarray) -> None:
     """Dashes of equal length along a polyline."""
-    for start, end in pairwise(line):
-        length = float(np.hypot(*(end - start)))
-        if length > 10 * max(image.shape):
-            continue  # passes the camera closely
-        steps = np.arange(0.0, max(length, 1.0), 2 * _DASH_PX)
-        for a in steps:
-            p, q = (start + (end - start) * min(1.0, t / max(length, 1e-9)) for t in (a, a + _DASH_PX))
-            cv2.line(image, tuple(np.round(p).astype(int)), tuple(np.round(q).astype(int)), _LINE, 2, cv2.LINE_AA)
+    passed = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    if passed[-1] > 10 * max(image.shape):
+        return  # passes the camera closely
+    steps = np.arange(0.0, passed[-1] + _DASH_PX, _DASH_PX)
+    places = np.stack([np.interp(steps, passed, line[:, i]) for i in range(2)], axis=1).round().astype(int)
+    for start, end in list(pairwise(places))[::2]:
+        cv2.line(image, tuple(start), tuple(end), _LINE, 2, cv2.LINE_AA)
 
 
 def _name(image: np.ndarray, outline: Outline, place) -> None:
