@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,12 @@ from scipy.optimize import linear_sum_assignment
 
 from jaxpoint.io.files import Row, read_table
 from jaxpoint.pointing.objects import Objects
+from jaxpoint.pointing.words import words_evidence
 
 DEICTIC = frozenset({"this", "that", "these", "those", "here", "there"})
 WINDOW_S = 1.0  # between onsets of gesture and word
 SIGMA_S = 0.35  # thesis 6.1: most lie within -0.52 and +0.45 s
 AROUND_S = 1.5  # a name so near to the deictic word, or to the gesture, speaks of the same thing
-NAMED = 20.0  # by how much an object is likelier when its name or a tag was said
 _NOT_POINTING = (("think", "that"), ("say", "that"), ("know", "that"), ("there", "is"), ("there", "are"), ("there's",))
 
 
@@ -93,13 +92,7 @@ def pair_words(words: Sequence[Word], holds: Sequence[tuple[float, float]]) -> l
 
 def evidence_of(said: Sequence[Sequence[Word]], objects: Objects) -> Float[np.ndarray, "G K"]:
     """How much likelier each object is by what was said with each gesture: its name, its kind, or a tag."""
-    evidence = np.ones((len(said), len(objects)))
-    for k, (name, kind, tags) in enumerate(zip(objects.names, objects.kinds, objects.tags)):
-        known = set(re.findall(r"\w+", " ".join([name, kind, *tags]).lower()))
-        for gesture, words in enumerate(said):
-            hits = {_text(word) for word in words} & known
-            evidence[gesture, k] = NAMED ** len(hits)
-    return evidence
+    return np.stack([words_evidence(objects, [word.text for word in own]) for own in said])
 
 
 def _nearest(word: Word, holds: Sequence[tuple[float, float]]) -> int:

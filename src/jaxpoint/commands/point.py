@@ -13,7 +13,7 @@ import tyro
 from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
-from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.track import TrackSettings
@@ -22,6 +22,7 @@ from jaxpoint.errors import FileFormatError, UsageError
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
     from jaxpoint.calibration.result import Calibration
+    from jaxpoint.camera.rig import CameraRig
     from jaxpoint.io.session import Session
     from jaxpoint.person.following import Following
 
@@ -42,6 +43,10 @@ class Point(SeededOptions):
     """What can be pointed at, a .csv or .toml; by default the session's own objects.csv."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    landmarks: Path | None = None
+    """What a pose estimator found, instead of the images: CSV, as `detect person --landmarks` takes it."""
+    min_confidence: Fraction = 0.3
+    """Landmarks below are left out."""
     times: Path | None = None
     """CSV of gestures, `start_s,end_s`; they are looked for without it."""
     words: Path | None = None
@@ -112,8 +117,6 @@ class Point(SeededOptions):
         from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.io.session import open_session
-        from jaxpoint.person.following import follow
-        from jaxpoint.person.recording import default_cache, watch_session
 
         session = open_session(self.session, self.calibration)
         check_session(session)
@@ -129,15 +132,7 @@ class Point(SeededOptions):
             known, covariance = calibration.rig.names, calibration.camera_covariance
             session = replace(session, rig=calibration.rig.select([known.index(name) for name in session.names]))
             assert session.rig is not None
-        views = watch_session(
-            session,
-            self.person,
-            cache=self.cache or default_cache(),
-            anew=self.anew,
-            workers=self.workers,
-            progress=progress,
-        )
-        following = follow(session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
+        following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
         found = pointed(
             session,
             following,
@@ -149,6 +144,23 @@ class Point(SeededOptions):
             correction=correction,
         )
         return session, following, found
+
+    def _seen(self, session: Session, rig: CameraRig, progress: Progress) -> Following:
+        """The arms in the images."""
+        from jaxpoint.person.following import follow
+        from jaxpoint.person.recording import default_cache, watch_session
+
+        kept = self.cache or default_cache()
+        views = watch_session(session, self.person, cache=kept, anew=self.anew, workers=self.workers, progress=progress)
+        return follow(rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
+
+    def _given(self, session: Session, rig: CameraRig, progress: Progress) -> Following:
+        """The arms that a pose estimator found."""
+        from jaxpoint.io.poses import read_poses
+        from jaxpoint.person.poses import follow_poses, views_of_poses
+
+        poses = read_poses(self.landmarks or Path(), session, self.min_confidence)
+        return follow_poses(rig, session, poses, views_of_poses(session, poses), self.track, progress)
 
     def _objects_file(self) -> Path:
         if self.objects is not None:

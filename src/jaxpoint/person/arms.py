@@ -167,7 +167,7 @@ def find_arm_again(
     ahead, near, tip = other.direction, np.asarray(other.axis.near), other.tip
     foot = near + ((tip - near) @ ahead) * ahead
     arm = Arm((), tip + moved, ahead, 0.0, other.tip_spread, foot + moved)
-    found = _measured(_scene(rig, crops), arm, {}, _span(head))
+    found = _measured(_scene(rig, crops), arm, {}, limb_span(head))
     return None if found is None else replace(found, stretch=stretch(found.tip, head))
 
 

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
+from scipy.linalg import block_diag
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
@@ -200,12 +201,13 @@ def _arm(rig: CameraRig, joints: _Joints, head: Float[np.ndarray, "3"]) -> Point
     of_direction = across @ (covariance[0] + covariance[1]) @ across.T
     counted = joints.used[0] & joints.used[1]
     axis = LimbAxis(
-        *(jnp.asarray(part) for part in (wrist, elbow, direction, of_direction, covariance[1])),
+        *(jnp.asarray(part) for part in (wrist, elbow, direction, of_direction)),
+        ends_covariance=jnp.asarray(block_diag(covariance[1], covariance[0])),
         rms=jnp.asarray(joints.rms[:2].max()),
         slices=jnp.asarray(counted, dtype=float),
     )
     tips = np.asarray(rig.project(tip))
-    own = joints.used[2] & np.full(len(rig), has_tip)
+    own = np.logical_and(joints.used[2], has_tip)
     tips = np.where(own[:, None], joints.pixels[2], tips)
     views = tuple(_arm_view(rig, camera, joints, bool(counted[camera]), tips[camera]) for camera in range(len(rig)))
     spread = float(np.sqrt(np.trace(covariance[2]) / 3)) if has_tip else 0.0
