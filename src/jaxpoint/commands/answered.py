@@ -92,8 +92,8 @@ def write_answers(
 
 
 def _write_pictures(folder: Path, shown: Sequence[GestureShown]) -> None:
-    import cv2
+    from jaxpoint.report.pointing_sheet import save_sheet
 
     folder.mkdir()
     for gesture in shown:
-        cv2.imwrite(str(folder / f"gesture_{gesture.number}.jpg"), gesture.sheet[..., ::-1])
+        save_sheet(folder / f"gesture_{gesture.number}.jpg", gesture.sheet)

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from jaxpoint.io.files import StrPath, replacing
 from jaxpoint.report.person import titled
 
 _GAP = 6
@@ -59,6 +60,17 @@ def pointing_sheet(views: Sequence[PointingView], *, columns: int = 3, width: in
     cells = [_cell(view, width) for view in views]
     rows = [cells[start : start + columns] for start in range(0, len(cells), columns)]
     return np.concatenate([_row(row, columns, width) for row in rows])
+
+
+def save_sheet(path: StrPath, sheet: UInt8[np.ndarray, "H W 3"]) -> None:
+    """Write a sheet (red, green, blue) as JPEG, at once or not at all.
+
+    Raises:
+        OSError: the folder is missing or not writable.
+    """
+    data = cv2.imencode(".jpg", np.ascontiguousarray(sheet[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+    with replacing(path) as file:
+        file.write(data.tobytes())
 
 
 def _row(cells: Sequence[np.ndarray], columns: int, width: int) -> np.ndarray:
