@@ -88,8 +88,9 @@ def posterior(
     batch = lines.ray.origin.shape[:-1]
     dtype = lines.ray.origin.dtype
     weights = jnp.ones(len(objects), dtype) if prior is None else as_float(prior)
-    weights = weights / jnp.sum(weights)
-    weights = jnp.broadcast_to(weights if evidence is None else weights * as_float(evidence), (*batch, len(objects)))
+    weights = jnp.broadcast_to(weights / jnp.sum(weights), (*batch, len(objects)))
+    if evidence is not None:
+        weights = weights * jnp.broadcast_to(as_float(evidence), weights.shape)
     # The covariance as nine rows more: over_lines wants a last axis alone.
     ask = partial(_posterior, objects.shapes, behaviour)
     return over_lines(ask, lines.ray.origin, lines.ray.direction, lines.covariance, weights)
