@@ -14,6 +14,7 @@ from jaxpoint.cli import main
 from jaxpoint.person import following
 
 MOMENTS = range(28, 45)  # the second gesture, at the window, with what is before and after
+CAMERAS = ("cam_0", "cam_1", "cam_2", "cam_5")
 KEPT = ("calibration.json", "camera_centres.csv", "objects.csv")
 
 
@@ -30,7 +31,9 @@ def folder(tmp_path_factory):
     short.mkdir()
     with as_file(files("jaxpoint") / "data" / "session") as whole:
         for name in ("videos", "empty", "wave"):
-            (short / name).symlink_to(whole / name, target_is_directory=True)
+            (short / name).mkdir()
+            for camera in CAMERAS:
+                (short / name / f"{camera}.mp4").symlink_to(whole / name / f"{camera}.mp4")
         for name in KEPT:
             shutil.copy(whole / name, short / name)
         (short / "truth").mkdir()

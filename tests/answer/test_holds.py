@@ -60,6 +60,12 @@ def test_a_long_gap_ends_a_hold():
     assert [(hold.moments[0], hold.moments[-1]) for hold in holds] == [(10, 16), (24, 30)]
 
 
+def test_another_limb_as_the_arm_comes_up_is_no_gesture():
+    arm = track(holds=((5, 8), (11, 20)))
+    (hold,) = find_holds([arm], GestureSettings())
+    assert (hold.moments[0], hold.moments[-1]) == (11, 20)
+
+
 @pytest.mark.parametrize(("frames", "found"), [(1, 0), (2, 0), (3, 1)])
 def test_short_holds_are_none(frames, found):
     assert len(find_holds([track(holds=((10, 9 + frames),))], GestureSettings())) == found

@@ -82,8 +82,8 @@ def find_holds(tracks: Iterable[ArmTrack], settings: GestureSettings) -> list[Ho
     """All gestures of everybody, in order of time.
 
     A hold is a set of moments around one of them whose tips and directions are like its own, without a long gap. The
-    set that most views speak for is taken first: single moments in which another limb was measured do not break a
-    hold, and an elbow that is taken for a hand now and then loses against the hand.
+    set that most views speak for is taken first, and nothing right before or after it: single moments in which another
+    limb was measured do not break a hold, and an elbow that is taken for a hand as the arm comes up is no gesture.
     """
     holds = []
     for track in tracks:
@@ -112,8 +112,10 @@ def _holds(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSetti
         period = float(np.median(np.diff(track.times))) if len(track.times) > 1 else 0.0
         lasts = track.times[members[-1]] - track.times[members[0]] + period
         if len(members) >= settings.min_frames and lasts >= settings.min_hold_s:
-            holds.append(_hold(track, members))
-            free[members[0] : members[-1] + 1] = False
+            hold = _hold(track, members)
+            holds.append(hold)
+            near = settings.min_pause_s
+            free &= (track.times < hold.start_s - near) | (track.times > hold.end_s + near)
         free[members] = False
     return holds
 

@@ -18,6 +18,8 @@ class GestureSettings:
     """Shorter holds are no gestures."""
     min_frames: Count = 3
     """Fewest frames of a hold in which the arm was measured."""
+    min_pause_s: Positive = 0.8
+    """Between two gestures of one person at least: the arm comes down and up again."""
     max_gap_s: Positive = 0.7
     """Without a measurement for longer, a hold ends."""
     tip_m: Positive = 0.12
