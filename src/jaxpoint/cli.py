@@ -69,11 +69,11 @@ GROUPS = {
     "objects": "Keep the database of objects that can be pointed at.",
     "bias": "How far people's lines of pointing miss: learn it, take it back, compare models.",
 }
-DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it.
+DESCRIPTION = """Calibrate the cameras of a room from a small light waved through it, and say what a person points at.
 
-In this order: detect, check, calibrate, align, validate; diff tells later whether a camera was touched. Without a
-recording: jaxpoint demo, and jaxpoint simulate for people who point in a room whose truth is known. More on each
-command and its flags: jaxpoint COMMAND --help
+In this order: detect led, check, calibrate, align, validate; diff tells later whether a camera was touched. Then point
+names what the people of a session point at. Without a recording: jaxpoint demo, and jaxpoint simulate for people who
+point in a room whose truth is known. More on each command and its flags: jaxpoint COMMAND --help
 """
 STYLE = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
 ENVIRONMENT = MissingDependencyError.exit_code
