@@ -70,11 +70,11 @@ def gestures_shown(
             if (image := images[camera][i]) is not None
         ]
         sheet = pointing_sheet(views)[..., ::-1]
-        shown.append(_shown(answer, sheet, "" if truth is None else truth.get(answer.number, "")))
+        shown.append(_shown(answer, sheet, None if truth is None else truth.get(answer.number, "")))
     return shown
 
 
-def _shown(answer: Answer, sheet: np.ndarray, meant: str) -> GestureShown:
+def _shown(answer: Answer, sheet: np.ndarray, meant: str | None) -> GestureShown:
     text = sentence(answer)
     truth = ""
     if meant:
@@ -84,8 +84,8 @@ def _shown(answer: Answer, sheet: np.ndarray, meant: str) -> GestureShown:
         f"{answer.number}", f"{answer.time_s:.1f} s", f"{answer.person}", answer.name,
         f"{100 * answer.probability:.0f} %", f"{answer.distance_m:.1f} m", answer.line, f"{answer.views}",
     ]  # fmt: skip
-    if meant:
-        row += [meant, "yes" if meant == answer.name else "no"]
+    if meant is not None:
+        row += [meant or "no gesture", "yes" if meant == answer.name else "no"]
     return GestureShown(
         number=answer.number,
         title=answer.name,

@@ -101,6 +101,8 @@ class Demo(SeededOptions):
             "tape": _tape_mm(session / "camera_centres.csv", true_rig),
         }
         notes = tuple(f"Nothing was answered where somebody pointed at {name}." for name in missed)
+        more = len(pointed.answers) - len(meant)
+        notes += (f"{more} of {len(pointed.answers)} answers are to no gesture.",) if more else ()
         figures = write_answers(
             point,
             out,
@@ -160,9 +162,10 @@ def true_targets(path: Path, pointed: Pointed) -> tuple[dict[int, str], list[str
     meant, missed = {}, []
     for gesture in gestures:
         first, last = int(gesture["first_frame"]), int(gesture["last_frame"])
-        own = [answer.number for answer in pointed.answers if first <= answer.frame <= last]
+        held = (int(gesture["hold_first"]) + int(gesture["hold_last"])) / 2
+        own = [answer for answer in pointed.answers if first <= answer.frame <= last]
         if own:
-            meant[own[0]] = gesture["target"]
+            meant[min(own, key=lambda answer: abs(answer.frame - held)).number] = gesture["target"]
         else:
             missed.append(gesture["target"])
     return meant, missed
