@@ -15,7 +15,7 @@ def arm(azimuth_deg: float, tip=(1.0, 2.0, 1.3)) -> PointingArm:
     angle = np.deg2rad(azimuth_deg)
     direction = np.array([np.cos(angle), np.sin(angle), 0.0])
     tip = np.array(tip)
-    parts = (tip - 0.2 * direction, tip - 0.4 * direction, direction, np.zeros((3, 3)), np.zeros((3, 3)))
+    parts = (tip - 0.2 * direction, tip - 0.4 * direction, direction, np.zeros((3, 3)), np.zeros((6, 6)))
     axis = LimbAxis(*(jnp.asarray(part) for part in parts), rms=jnp.zeros(()), slices=jnp.zeros(2))
     return PointingArm(tip, 0.0, axis, (), 0.5)
 
