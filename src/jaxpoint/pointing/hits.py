@@ -63,7 +63,7 @@ def _intersect(shapes: Shapes, most: int, rays: Ray) -> Hits:
     )
 
 
-def meet(shapes: Shapes, ray: Ray) -> tuple[Float[Array, " F+S"], Float[Array, " F+S"], Float[Array, " F+S"]]:
+def meet(shapes: Shapes, ray: Ray) -> tuple[Float[Array, " parts"], Float[Array, " parts"], Float[Array, " parts"]]:
     """Distance (m) to every face and sphere, infinite where there is no hit, and the fractions of a face's sides."""
     faces = _meet_faces(shapes, ray.origin, ray.direction)
     half = jnp.full(shapes.radius.shape, 0.5, faces[0].dtype)

@@ -61,7 +61,7 @@ def across(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
 
 def masses(
     line: PointingLine, shapes: Shapes, spread: Float[Array, "2 2"], freedom: int | None = None
-) -> Float[Array, " F+S"]:
+) -> Float[Array, " parts"]:
     """The share of a line's distribution that falls on each face and sphere, whatever stands before it, 0..1.
 
     Args:
@@ -83,7 +83,7 @@ def masses(
     return jnp.concatenate([mass, jnp.where(outside, outlines, 0.0)])
 
 
-def solid_angles(origin: Float[Array, "3"], shapes: Shapes) -> Float[Array, " F+S"]:
+def solid_angles(origin: Float[Array, "3"], shapes: Shapes) -> Float[Array, " parts"]:
     """Of each face and sphere as seen from a place, sr; 0 for faces of a box that look away.
 
     After van Oosterom and Strackee, The solid angle of a plane triangle, IEEE Trans. Biomed. Eng. 30 (1983).

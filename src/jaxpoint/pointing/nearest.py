@@ -47,7 +47,7 @@ def nearest_to_points(points: Float[AnyArray, "*batch 3"], objects: Objects, mos
     return over_lines(ask, as_float(points))
 
 
-def angles(ray: Ray, shapes: Shapes) -> Float[Array, " F+S"]:
+def angles(ray: Ray, shapes: Shapes) -> Float[Array, " parts"]:
     """From a ray to the nearest direction of each face and sphere as seen from its origin, rad, 0..pi."""
     corners = face_corners(shapes, ray.origin)
     of_faces = jax.vmap(partial(_angle_to_face, ray.direction))(corners)
@@ -59,7 +59,7 @@ def angles(ray: Ray, shapes: Shapes) -> Float[Array, " F+S"]:
     return jnp.concatenate([of_faces, jnp.where(away, jnp.maximum(to_center - half, 0.0), 0.0)])
 
 
-def distances(ray: Ray, shapes: Shapes) -> Float[Array, " F+S"]:
+def distances(ray: Ray, shapes: Shapes) -> Float[Array, " parts"]:
     """From a half line to each face and sphere, m."""
     corners = face_corners(shapes, ray.origin)
     of_faces = jax.vmap(partial(_distance_to_face, ray.direction))(corners)
@@ -69,7 +69,7 @@ def distances(ray: Ray, shapes: Shapes) -> Float[Array, " F+S"]:
     return jnp.concatenate([of_faces, jnp.maximum(across - shapes.radius, 0.0)])
 
 
-def point_distances(point: Float[Array, "3"], shapes: Shapes) -> Float[Array, " F+S"]:
+def point_distances(point: Float[Array, "3"], shapes: Shapes) -> Float[Array, " parts"]:
     """From a point to each face and sphere, m."""
     of_faces = jax.vmap(_point_to_face)(face_corners(shapes, point))
     return jnp.concatenate([of_faces, jnp.maximum(safe_norm(shapes.center - point[None]) - shapes.radius, 0.0)])

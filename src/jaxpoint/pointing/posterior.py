@@ -147,7 +147,7 @@ def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -
 
 
 def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]) -> Posterior:
-    def by_object(parts: Float[Array, " F+S"]) -> Float[Array, " K"]:
+    def by_object(parts: Float[Array, " parts"]) -> Float[Array, " K"]:
         return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
 
     parts = masses(line, shapes, behaviour.spread, behaviour.freedom)
@@ -172,7 +172,7 @@ def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: 
     return Posterior(chance, rest, mass, jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0), ambiguous)
 
 
-def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " F+S"]:
+def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " parts"]:
     """How much of each part's share of the distribution no other part hides, 0..1.
 
     Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
@@ -191,7 +191,7 @@ def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[
     return jnp.where(hits > 0, sights / jnp.maximum(hits, 1), 1.0)
 
 
-def _nearest_places(ray: Ray, shapes: Shapes) -> Float[Array, "F+S 3"]:
+def _nearest_places(ray: Ray, shapes: Shapes) -> Float[Array, "parts 3"]:
     """Directions from the origin to where the ray meets each part's plane, held within the part, or to its middle."""
     plain = eqx.tree_at(lambda s: s.solid, shapes, jnp.zeros_like(shapes.solid))
     _, u, v, ahead = face_fractions(plain, ray.origin, ray.direction)
