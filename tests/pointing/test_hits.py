@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rooms import rays, room, things
-from scipy.optimize import linprog, minimize
+from scipy.optimize import linprog, lsq_linear
 
+from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import MOST, intersect
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
@@ -66,7 +67,7 @@ def test_points_and_fractions_are_those_of_the_face():
     objects = Objects.of([Thing("screen", Rectangle(corners))])
     for u, v in ((0.1, 0.2), (0.9, 0.7)):
         aim = corners[0] + u * (corners[1] - corners[0]) + v * (corners[2] - corners[0])
-        for start in ([2.0, 0, 1.5], [2.0, 6, 1.5]):  # from both sides
+        for start in np.array([[2.0, 0, 1.5], [2.0, 6, 1.5]]):  # from both sides
             hits = intersect(Ray.through(start, aim), objects)
             np.testing.assert_allclose(hits.point[0], aim, atol=1e-12)
             np.testing.assert_allclose(hits.fractions[0], [u, v], atol=1e-12)
@@ -96,7 +97,7 @@ def test_derivatives_of_hits():
         hits = intersect(Ray(origin, direction), objects)
         return jnp.sum(hits.distance) + jnp.sum(hits.fractions * jnp.array([[1.0, 2.0]])) + jnp.sum(hits.point)
 
-    slopes = jax.grad(last, argnums=(0, 1))(jnp.asarray(origin), jnp.asarray(direction))
+    slopes = jit_once(jax.grad(last, argnums=(0, 1)))(jnp.asarray(origin), jnp.asarray(direction))
     for which, slope in enumerate(slopes):
         for axis in range(3):
             there, back = [origin.copy(), direction.copy()], [origin.copy(), direction.copy()]
@@ -105,37 +106,25 @@ def test_derivatives_of_hits():
             np.testing.assert_allclose(slope[axis], (last(*there) - last(*back)) / 2e-6, rtol=1e-5, atol=1e-6)
 
 
-def face_points(shape):
-    a, b, c, _ = np.asarray(shape.corners)
-    return lambda x: a + x[0] * (b - a) + x[1] * (c - a)
-
-
-def angle(direction, gap):
-    return np.arctan2(np.linalg.norm(np.cross(direction, gap)), gap @ direction)
+def least_angle(corner, sides, direction):
+    """Of a rectangle from a ray from 0, by ever finer grids: the cones about a ray cut convex parts out of a plane."""
+    middle, half = np.array([0.5, 0.5]), 0.5
+    for _ in range(12):
+        rows = (np.clip(part + half * np.linspace(-1, 1, 33), 0, 1) for part in middle)
+        grid = np.stack(np.meshgrid(*rows), axis=-1).reshape(-1, 2)
+        gaps = corner + grid @ sides
+        found = np.arctan2(np.linalg.norm(np.cross(direction, gaps), axis=1), gaps @ direction)
+        middle, half = grid[np.argmin(found)], half / 4
+    return found.min()
 
 
 def by_minimiser(shape, origin, direction):
     """Angle and distance of a rectangle from a ray, and its distance from the ray's origin."""
-    place = face_points(shape)
-    grid = np.stack(np.meshgrid(*2 * [np.linspace(0, 1, 9)]), axis=-1).reshape(-1, 2)
-
-    def of_angle(x):
-        return angle(direction, place(x) - origin)
-
-    def least(cost, start):
-        return minimize(cost, start, bounds=[(0, 1)] * 2, method="SLSQP", tol=1e-14).fun
-
-    starts = sorted(grid.tolist(), key=of_angle)[:2]
-    reach = max(1e-9, *((place(x) - origin) @ direction for x in grid))
-    across = minimize(  # convex in the two fractions and the way along the ray
-        lambda x: np.sum((place(x[:2]) - origin - x[2] * direction) ** 2),
-        [0.5, 0.5, reach / 2],
-        bounds=[(0, 1), (0, 1), (0, reach)],
-        method="L-BFGS-B",
-        options={"ftol": 1e-15, "gtol": 1e-12},
-    )
-    away = least(lambda x: np.sum((place(x) - origin) ** 2), [0.5, 0.5])
-    return min(least(of_angle, start) for start in starts), np.sqrt(across.fun), np.sqrt(away)
+    a, b, c, _ = np.asarray(shape.corners)
+    sides = np.stack([b - a, c - a])
+    across = lsq_linear(np.stack([*sides, -direction], axis=1), origin - a, ([0, 0, 0], [1, 1, np.inf]), "bvls")
+    away = lsq_linear(sides.T, origin - a, (0, 1), "bvls")
+    return least_angle(a - origin, sides, direction), np.sqrt(2 * across.cost), np.sqrt(2 * away.cost)
 
 
 @given(st.integers(0, 10**6))
@@ -150,8 +139,8 @@ def test_nearest_rectangles_are_those_of_a_minimiser(seed):
         ahead = angles < np.pi / 2
         for ours, oracle in ((by_angle, angles), (by_distance, across)):
             some = np.asarray(ours.valid[g])
-            np.testing.assert_allclose(np.asarray(ours.measure[g])[some], np.sort(oracle[ahead]), atol=2e-4)
-        np.testing.assert_allclose(spot.measure[g], np.sort(away), atol=2e-4)
+            np.testing.assert_allclose(np.asarray(ours.measure[g])[some], np.sort(oracle[ahead]), atol=1e-6)
+        np.testing.assert_allclose(spot.measure[g], np.sort(away), atol=1e-6)
 
 
 def test_nearest_of_spheres_and_boxes_and_what_lies_behind():
@@ -171,15 +160,18 @@ def test_nearest_of_spheres_and_boxes_and_what_lies_behind():
 
 def test_derivatives_of_nearest_are_finite_and_right():
     objects, lines = room(3), rays(3, 4)
-    for measure in ("angle", "distance"):
 
-        def least(origin, measure=measure):
-            return jnp.sum(nearest(Ray(origin, lines.direction), objects, measure).measure)
+    @jit_once
+    def least(origin):
+        def of(measure):
+            return lambda origin: jnp.sum(nearest(Ray(origin, lines.direction), objects, measure).measure)
 
-        slope = jax.grad(least)(lines.origin)
-        step = np.zeros((4, 3))
-        step[2, 1] = 1e-6
-        there, back = (least(lines.origin + sign * step) for sign in (1, -1))
+        return [jax.value_and_grad(of(measure))(origin) for measure in ("angle", "distance")]
+
+    step = np.zeros((4, 3))
+    step[2, 1] = 1e-6
+    slopes, ups, downs = (least(lines.origin + sign * step) for sign in (0, 1, -1))
+    for (_, slope), (there, _), (back, _) in zip(slopes, ups, downs):
         np.testing.assert_allclose(slope[2, 1], (there - back) / 2e-6, rtol=1e-4, atol=1e-6)
         assert np.isfinite(slope).all()
 
