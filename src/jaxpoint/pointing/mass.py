@@ -127,7 +127,7 @@ def _half_angle(top: Array, a: Vectors, b: Vectors, c: Vectors) -> Array:
     """Half the signed solid angle of triangles from 0."""
     u, v, w = (jnp.sqrt(_inner(x, x) + 1e-18) for x in (a, b, c))
     bottom = u * v * w + _inner(a, b) * w + _inner(a, c) * v + _inner(b, c) * u
-    return _angle(top, bottom)
+    return angle(top, bottom)
 
 
 def _outlines(gaps: Float[Array, "S 3"], radius: Float[Array, " S"]) -> tuple[Array, Array, Array, Array]:
@@ -230,7 +230,7 @@ def _student_edge(h: Array, a: Array, b: Array, freedom: int) -> Array:
     """The same for Student's t: (1 - S) / r^2 is the sum over j of nu^(j-1) / (nu + r^2)^j up to half of nu."""
     square = h**2 + freedom
     root = jnp.sqrt(square)
-    integral = _angle((b - a) * root, square + a * b) / root  # of 1 / (nu + r^2)
+    integral = angle((b - a) * root, square + a * b) / root  # of 1 / (nu + r^2)
     at_a, at_b = 1 / (square + a**2), 1 / (square + b**2)
     flux, factor, power_a, power_b = integral, 1.0, a * at_a, b * at_b
     for j in range(1, freedom // 2):
@@ -243,16 +243,16 @@ def _student_edge(h: Array, a: Array, b: Array, freedom: int) -> Array:
 
 def _subtended(h: Array, a: Array, b: Array) -> Array:
     """The angle under which edges are seen from 0, rad, positive with 0 to their left."""
-    return _angle(h * (b - a), h**2 + a * b)
+    return angle(h * (b - a), h**2 + a * b)
 
 
 @jax.custom_jvp
-def _angle(top: Array, bottom: Array) -> Array:
+def angle(top: Array, bottom: Array) -> Array:
     """`arctan2` to 1e-8 rad, 0 where both are 0: XLA's own takes most of the time that a mass takes.
 
     The polynomial is 4.4.49 of Abramowitz and Stegun, Handbook of Mathematical Functions. The derivative is in closed
-    form: quick to compile, and XLA's fusion emitters (jaxlib 0.10, CPU) make wrong numbers of the polynomial's
-    transpose, in a program that asks for them.
+    form: it is quick to compile, and of the transpose of what stands below XLA makes wrong numbers (jaxlib 0.10, CPU,
+    its default options).
     """
     x, y = jnp.abs(bottom), jnp.abs(top)
     high = jnp.maximum(x, y)
@@ -267,10 +267,10 @@ def _angle(top: Array, bottom: Array) -> Array:
     return jnp.where(top < 0, -angle, angle)
 
 
-@_angle.defjvp
+@angle.defjvp
 def _angle_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     (top, bottom), (top_change, bottom_change) = primals, tangents
     square = top**2 + bottom**2
     away = square > 0
     inverse = jnp.where(away, 1 / jnp.where(away, square, 1.0), 0.0)
-    return _angle(top, bottom), (bottom * inverse) * top_change - (top * inverse) * bottom_change
+    return angle(top, bottom), (bottom * inverse) * top_change - (top * inverse) * bottom_change

@@ -76,8 +76,6 @@ def posterior(
 ) -> Posterior:
     """Probability of each object and of nothing, given where lines point.
 
-    Take derivatives forward (`jax.jvp`, `jax.jacfwd`), which is tested; reverse ones disagreed with finite differences.
-
     Args:
         lines: any leading axes; unit directions, corrected for bias.
         behaviour: spread of the person who points, and the priors of being hidden and of nothing.
