@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import face_fractions, meet, nearest_first
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
@@ -176,26 +176,35 @@ def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[
     Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
     line in its plane, so that small and far ones are asked too.
     """
+    line, shapes, behaviour = jax.lax.stop_gradient((line, shapes, behaviour))
     base = across(line.ray.direction)
     scale = jnp.linalg.norm(base @ line.direction_covariance @ base.T + behaviour.spread) ** 0.5
-    drawn = jax.lax.stop_gradient(scale * jnp.asarray(_normal_points(), base.dtype) @ base)
-    towards = jnp.concatenate([line.ray.direction[None] + drawn, _nearest_places(line.ray, shapes)])
-    distance = jax.vmap(lambda d: meet(shapes, Ray(line.ray.origin, d))[0])(normalised(towards))
+    left, up = scale * jnp.asarray(_normal_points().T, base.dtype)
+    drawn = tuple(line.ray.direction[i] + left * base[0, i] + up * base[1, i] for i in range(3))
+    towards = _unit(*(jnp.concatenate(pair) for pair in zip(drawn, _nearest_places(line.ray, shapes))))
+    distance = jax.vmap(lambda *d: meet(shapes, Ray(line.ray.origin, jnp.stack(d)))[0])(*towards)
     hit = jnp.isfinite(distance)
     seen = hit & (distance <= (1 + _TOUCH) * jnp.min(distance, axis=1, keepdims=True))
     # Of the directions to places of parts, each tells of its own part alone.
-    own = jnp.concatenate([jnp.ones((len(drawn), distance.shape[1])), jnp.eye(distance.shape[1])])
+    own = jnp.concatenate([jnp.ones((len(left), distance.shape[1])), jnp.eye(distance.shape[1])])
     hits, sights = jnp.sum(own * hit, axis=0), jnp.sum(own * seen, axis=0)
     return jnp.where(hits > 0, sights / jnp.maximum(hits, 1), 1.0)
 
 
-def _nearest_places(ray: Ray, shapes: Shapes) -> Float[Array, "parts 3"]:
-    """Directions from the origin to where the ray meets each part's plane, held within the part, or to its middle."""
+def _unit(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
+    """Directions by component: sums of few terms fuse."""
+    square = x**2 + y**2 + z**2
+    shrink = jax.lax.rsqrt(jnp.where(square > 0, square, 1.0))
+    return x * shrink, y * shrink, z * shrink
+
+
+def _nearest_places(ray: Ray, shapes: Shapes) -> tuple[Float[Array, " parts"], ...]:
+    """From the origin to where the ray meets each part's plane, held within the part, or to its middle: x, y and z."""
     plain = eqx.tree_at(lambda s: s.solid, shapes, jnp.zeros_like(shapes.solid))
     _, u, v, ahead = face_fractions(plain, ray.origin, ray.direction)
     u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
-    on_faces = shapes.corner + u[:, None] * shapes.right + v[:, None] * shapes.down
-    return jnp.concatenate([on_faces, shapes.center]) - ray.origin[None]
+    on_faces = (shapes.corner[:, i] + u * shapes.right[:, i] + v * shapes.down[:, i] for i in range(3))
+    return tuple(jnp.concatenate([on, shapes.center[:, i]]) - ray.origin[i] for i, on in enumerate(on_faces))
 
 
 def _normal_points() -> np.ndarray:
