@@ -63,38 +63,62 @@ def _intersect(shapes: Shapes, most: int, rays: Ray) -> Hits:
     )
 
 
-def meet(shapes: Shapes, ray: Ray) -> tuple[Float[Array, " parts"], Float[Array, " parts"], Float[Array, " parts"]]:
-    """Distance (m) to every face and sphere, infinite where there is no hit, and the fractions of a face's sides."""
-    faces = _meet_faces(shapes, ray.origin, ray.direction)
+def meet(
+    shapes: Shapes, ray: Ray, planes: Planes | None = None
+) -> tuple[Float[Array, " parts"], Float[Array, " parts"], Float[Array, " parts"]]:
+    """Distance (m) to every face and sphere, infinite where there is no hit, and the fractions of a face's sides.
+
+    Args:
+        planes: of the shapes' faces, if they are known.
+    """
+    faces = _meet_faces(planes_of(shapes) if planes is None else planes, shapes.solid, ray)
     half = jnp.full(shapes.radius.shape, 0.5, faces[0].dtype)
     spheres = (_meet_spheres(shapes, ray.origin, ray.direction), half, half)
     distance, u, v = (jnp.concatenate(pair) for pair in zip(faces, spheres))
     return distance, u, v
 
 
-def face_fractions(
-    shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]
-) -> tuple[Float[Array, " F"], Float[Array, " F"], Float[Array, " F"], Bool[Array, " F"]]:
-    """Where a ray meets the planes of faces: distance (m), fractions of the sides, and whether it meets them ahead."""
+class Planes(eqx.Module):
+    """What rays that meet faces have in common: of each face its unit normal and the dual base of its sides.
+
+    The products of a point with the dual base, less those of the corner, are its fractions of the sides.
+    """
+
+    normal: Float[Array, "F 3"]
+    right: Float[Array, "F 3"]  # 1/m
+    down: Float[Array, "F 3"]  # 1/m
+    offset: Float[Array, "F 3"]  # products of these three with the corner; m, 1, 1
+    used: Bool[Array, " F"]  # whether the face has a size
+
+
+def planes_of(shapes: Shapes) -> Planes:
+    """The planes of all faces."""
     corner, right, down = shapes.corner, shapes.right, shapes.down
     normal = jnp.cross(down, right)
     area2 = jnp.sum(normal**2, axis=1)
     used = area2 > 0
     safe = jnp.where(used, area2, 1.0)[:, None]
-    unit = normal / jnp.sqrt(safe)
-    # The dual base: a point's fractions are its products with these.
-    across, along = jnp.cross(right, normal) / safe, jnp.cross(normal, down) / safe
-    closing = _dot(unit, direction)
+    parts = normal / jnp.sqrt(safe), jnp.cross(normal, down) / safe, jnp.cross(right, normal) / safe
+    return Planes(*parts, jnp.stack([_dots(part, corner) for part in parts], axis=1), used)
+
+
+def face_fractions(
+    planes: Planes, ray: Ray
+) -> tuple[Float[Array, " F"], Float[Array, " F"], Float[Array, " F"], Bool[Array, " F"], Bool[Array, " F"]]:
+    """Where a ray meets planes: distance (m), fractions of the sides, whether it does so ahead, and from the front."""
+    closing = _dot(planes.normal, ray.direction)
     parallel = jnp.abs(closing) < _PARALLEL
-    distance = (_dots(unit, corner) - _dot(unit, origin)) / jnp.where(parallel, 1.0, closing)
-    u = _dot(along, origin) - _dots(along, corner) + distance * _dot(along, direction)
-    v = _dot(across, origin) - _dots(across, corner) + distance * _dot(across, direction)
-    return distance, u, v, used & ~parallel & (distance > 0) & (~shapes.solid | (closing < 0))
+    distance = (planes.offset[:, 0] - _dot(planes.normal, ray.origin)) / jnp.where(parallel, 1.0, closing)
+    u, v = (
+        _dot(dual, ray.origin) - planes.offset[:, i] + distance * _dot(dual, ray.direction)
+        for i, dual in ((1, planes.right), (2, planes.down))
+    )
+    return distance, u, v, planes.used & ~parallel & (distance > 0), closing < 0
 
 
-def _meet_faces(shapes: Shapes, origin: Array, direction: Array) -> tuple[Array, Array, Array]:
-    distance, u, v, ahead = face_fractions(shapes, origin, direction)
-    hit = ahead & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
+def _meet_faces(planes: Planes, solid: Array, ray: Ray) -> tuple[Array, Array, Array]:
+    distance, u, v, ahead, front = face_fractions(planes, ray)
+    hit = ahead & (~solid | front) & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)
     return jnp.where(hit, distance, jnp.inf), u, v
 
 

@@ -24,7 +24,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.hits import face_fractions, meet, nearest_first
+from jaxpoint.pointing.hits import Planes, face_fractions, meet, nearest_first, planes_of
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.mass import NEAR_M, across, masses, solid_angles
@@ -107,7 +107,11 @@ def _posterior(
 
     def one(origin: Array, direction: Array, covariance: Array, weights: Array, index: Array, ahead: Array):
         few = _chosen(shapes, index, ahead)
-        return _of_line(few, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+        near = jax.tree.map(lambda leaf: leaf[index], planes)
+        near = eqx.tree_at(lambda n: n.used, near, near.used & ahead)
+        return _of_line(few, near, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+
+    planes = jax.lax.stop_gradient(planes_of(shapes))
 
     bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
     index, count = nearest_first(bounds, min(_NEAR, bounds.shape[1]))
@@ -144,12 +148,14 @@ def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -
     )
 
 
-def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]) -> Posterior:
+def _of_line(
+    shapes: Shapes, planes: Planes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]
+) -> Posterior:
     def by_object(parts: Float[Array, " parts"]) -> Float[Array, " K"]:
         return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
 
     parts = masses(line, shapes, behaviour.spread, behaviour.freedom)
-    seen = _visible(line, shapes, behaviour)
+    seen = _visible(line, shapes, planes, behaviour)
     angles = solid_angles(line.ray.origin, shapes)
     mass, shown, angle = by_object(parts), by_object(parts * seen), by_object(angles)
     counted = shown + behaviour.hidden * (mass - shown)
@@ -170,7 +176,7 @@ def _of_line(shapes: Shapes, behaviour: Behaviour, line: PointingLine, weights: 
     return Posterior(chance, rest, mass, jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0), ambiguous)
 
 
-def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " parts"]:
+def _visible(line: PointingLine, shapes: Shapes, planes: Planes, behaviour: Behaviour) -> Float[Array, " parts"]:
     """How much of each part's share of the distribution no other part hides, 0..1.
 
     Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
@@ -181,8 +187,8 @@ def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[
     scale = jnp.linalg.norm(base @ line.direction_covariance @ base.T + behaviour.spread) ** 0.5
     left, up = scale * jnp.asarray(_normal_points().T, base.dtype)
     drawn = tuple(line.ray.direction[i] + left * base[0, i] + up * base[1, i] for i in range(3))
-    towards = _unit(*(jnp.concatenate(pair) for pair in zip(drawn, _nearest_places(line.ray, shapes))))
-    distance = jax.vmap(lambda *d: meet(shapes, Ray(line.ray.origin, jnp.stack(d)))[0])(*towards)
+    towards = _unit(*(jnp.concatenate(pair) for pair in zip(drawn, _nearest_places(line.ray, shapes, planes))))
+    distance = jax.vmap(lambda *d: meet(shapes, Ray(line.ray.origin, jnp.stack(d)), planes)[0])(*towards)
     hit = jnp.isfinite(distance)
     seen = hit & (distance <= (1 + _TOUCH) * jnp.min(distance, axis=1, keepdims=True))
     # Of the directions to places of parts, each tells of its own part alone.
@@ -198,10 +204,9 @@ def _unit(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     return x * shrink, y * shrink, z * shrink
 
 
-def _nearest_places(ray: Ray, shapes: Shapes) -> tuple[Float[Array, " parts"], ...]:
+def _nearest_places(ray: Ray, shapes: Shapes, planes: Planes) -> tuple[Float[Array, " parts"], ...]:
     """From the origin to where the ray meets each part's plane, held within the part, or to its middle: x, y and z."""
-    plain = eqx.tree_at(lambda s: s.solid, shapes, jnp.zeros_like(shapes.solid))
-    _, u, v, ahead = face_fractions(plain, ray.origin, ray.direction)
+    _, u, v, ahead, _ = face_fractions(planes, ray)
     u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
     on_faces = (shapes.corner[:, i] + u * shapes.right[:, i] + v * shapes.down[:, i] for i in range(3))
     return tuple(jnp.concatenate([on, shapes.center[:, i]]) - ray.origin[i] for i, on in enumerate(on_faces))
