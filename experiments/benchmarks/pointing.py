@@ -122,7 +122,8 @@ def mass_errors(
     for g, (origin, direction) in enumerate(zip(np.asarray(some.origin), np.asarray(some.direction))):
         base = np.asarray(across(jnp.asarray(direction)))
         for i in range(2):
-            drawn = norm.ppf(qmc.Sobol(5, seed=rng).random(options.samples))
+            points = qmc.Sobol(5, seed=rng)  # pyright: ignore[reportCallIssue]; `rng` from scipy 1.15 on
+            drawn = norm.ppf(points.random(options.samples))
             starts, towards = origin + sigma_m * drawn[:, 2:], direction + sigma * drawn[:, :2] @ base
             errors[i, g] = np.asarray(found.mass[g]) - [met(c, starts, towards) for c in corners]
     return errors
