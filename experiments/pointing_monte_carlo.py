@@ -39,6 +39,7 @@ from pointing_people import Gestures
 Method = Literal["endpoints", "planes"]
 Line = Literal["forearm", "thesis", "finger", "eye-fingertip", "head-hand", "shoulder-hand"]
 PART = 512
+_FEWEST = 128  # gestures that a part is told of are padded to so many: few programs are compiled
 CENTROID = 0.15  # of the forearm lies before the centroid of forearm and hand, from the wrist on
 FINGER_RADIUS_M = 0.008  # by which the outline lies above the axis at the fingertip
 
@@ -162,7 +163,7 @@ def jobs_of(rooms: Sequence[Gestures], condition: Condition) -> list[Job]:
 def _job(own: Gestures, condition: Condition, cameras: np.ndarray, some: np.ndarray, before: int) -> Job:
     rear, front = line_ends(own, condition)
     ends = np.stack([rear, front, own.points["tip"], own.target], axis=1)[some]
-    size = 1 << max(len(some) - 1, 15).bit_length()
+    size = 1 << max(len(some) - 1, _FEWEST - 1).bit_length()
     rows = [ends, own.meant[some], own.seen[some][:, cameras]]
     padded = [np.concatenate([row, np.repeat(row[:1], size - len(some), axis=0)]) for row in rows]
     chosen = jax.tree.map(lambda leaf: leaf[cameras], own.rig.cameras)
