@@ -33,7 +33,6 @@ from jaxpoint.pointing.hits import meet
 from jaxpoint.pointing.objects import Shapes
 from jaxpoint.pointing.planes import common_direction
 from jaxpoint.triangulation import triangulate
-
 from pointing_people import Gestures
 
 Method = Literal["endpoints", "planes"]
@@ -209,9 +208,9 @@ def pointings(
     keys = jax.random.split(key, 3)
     supposed = _rows(disturbed(cameras, noise, keys[0]))
     points = seen_points(true, ends[:, : 2 if front_is_tip else 3].transpose(2, 1, 0), noise, keys[1])
-    pixels = project(true, points)
+    pixels = jnp.stack([project(true, points[:, end]) for end in range(points.shape[1])], axis=1)
     pixels = pixels + noise.pixel * _normal(keys[2], pixels.shape, pixels.dtype)
-    triangulated = (slice(None) if method == "endpoints" else slice(-1, None))
+    triangulated = slice(None) if method == "endpoints" else slice(-1, None)
     found = _triangulated(disturbed(cameras, noise, keys[0]), pixels[:, triangulated], visible)
     if method == "endpoints":
         direction = normalised(found[1] - found[0])
@@ -235,9 +234,7 @@ def disturbed(cameras: Camera, noise: Noise, key: Array) -> Camera:
     return jax.vmap(one)(cameras, draw)
 
 
-def seen_points(
-    cameras: Camera, ends: Float[Array, "3 k B"], noise: Noise, key: Array
-) -> Float[Array, "3 k V B"]:
+def seen_points(cameras: Camera, ends: Float[Array, "3 k B"], noise: Noise, key: Array) -> Float[Array, "3 k V B"]:
     """The body's points that every camera takes for the ends: moved along the axis, and the front one up across it."""
     rear, front = ends[:, 0, None], ends[:, 1, None]
     axis = _unit(front - rear)
@@ -250,7 +247,7 @@ def seen_points(
     return jnp.stack([*moved, *others], axis=1)
 
 
-def project(cameras: Camera, points: Float[Array, "3 k V B"]) -> Float[Array, "2 k V B"]:
+def project(cameras: Camera, points: Float[Array, "3 V B"]) -> Float[Array, "2 V B"]:
     """Pixels, every camera's of its own points."""
     r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
     x, y, z = points
@@ -268,14 +265,17 @@ def plane_direction(
     Planes count by the length of what was seen: two ends that are far apart say more than two that are near.
     """
     assert isinstance(cameras.distortion, Brown)
-    x, y = ((pixels[i] - cameras.center[i]) / cameras.focal[i] for i in range(2))
     wanted = visible.T
-    (u0, v0, _), (u1, v1, _) = (undistort_rows(cameras.distortion.coefficients, x[k], y[k], wanted) for k in range(2))
+    ideal = []
+    for end in range(2):
+        x, y = ((pixels[i, end] - cameras.center[i]) / cameras.focal[i] for i in range(2))
+        ideal.append(undistort_rows(cameras.distortion.coefficients, x, y, wanted)[:2])
+    (u0, v0), (u1, v1) = ideal
     r = cameras.cam_from_world.rotation
     rays = [jnp.stack([u * r[0, i] + v * r[1, i] + r[2, i] for i in range(3)]) for u, v in ((u0, v0), (u1, v1))]
-    normals = jnp.where(wanted[None], cameras.focal[0] * _cross(*rays), 0.0)
+    normals = jnp.where(wanted[None], cameras.focal[0][None] * _cross(*rays), 0.0)
     direction = common_direction(normals)
-    local = [sum(r[k, i] * direction[i] for i in range(3)) for k in range(3)]
+    local = [sum(r[k, i] * direction[None, i] for i in range(3)) for k in range(3)]
     forward = (u1 - u0) * (local[0] - u0 * local[2]) + (v1 - v0) * (local[1] - v0 * local[2])
     return jnp.where(jnp.sum(jnp.where(wanted, forward, 0.0), axis=0) < 0, -1.0, 1.0)[None] * direction
 

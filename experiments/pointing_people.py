@@ -102,9 +102,7 @@ def gestures_of(
 
 def law(share_accurate: float, **approximate: Any) -> PointingSettings:
     """The simulator's people with some of them accurate, and the others' errors as given."""
-    return PointingSettings(
-        accurate_share=share_accurate, approximate=replace(ApproximateSettings(), **approximate)
-    )
+    return PointingSettings(accurate_share=share_accurate, approximate=replace(ApproximateSettings(), **approximate))
 
 
 def exactly(value: float) -> Normal:
@@ -169,7 +167,12 @@ def _looked_at(view: Viewpoint, points: dict[str, np.ndarray]) -> np.ndarray:
 def _hung(rng: np.random.Generator, scene: Scene, name: str) -> NamedObject:
     """A sign on a wall, clear of what stands there."""
     x, y, z = np.eye(3)
-    walls = ((y * 0.005, x, 0), (scene.size * y - y * 0.005, x, 0), (x * 0.005, y, 1), (scene.size * x - x * 0.005, y, 1))
+    walls = (
+        (y * 0.005, x, 0),
+        (scene.size * y - y * 0.005, x, 0),
+        (x * 0.005, y, 1),
+        (scene.size * x - x * 0.005, y, 1),
+    )
     while True:
         start, along, axis = walls[int(rng.integers(4))]
         wide, high = rng.uniform(0.12, 0.35, 2)
