@@ -216,12 +216,12 @@ def correction(fitted: Sequence[Gestures], one: Asked, seed: int) -> AbstractMod
         tuple(map(str, range(len(target)))),
         tuple(map(str, who)),
         (one.condition.line,),
-        sample.scored.origin[:, None],
-        sample.scored.direction[:, None],
+        np.asarray(sample.scored.origin)[:, None],
+        np.asarray(sample.scored.direction)[:, None],
         target,
     )
     starts = ConstantElevation(np.zeros(1)), Constant(np.zeros((1, 2))), Polynomial(np.zeros((1, 2, 3)))
-    start = dict(zip(CORRECTIONS, starts))[one.correction]
+    start = starts[CORRECTIONS.index(one.correction)]
     found = solve(start, pointings, np.ones((1, len(pointings))), LOSS_RAD)
     model = jax.tree.map(lambda leaf: leaf[0], found)
     # One program for both constants.
@@ -236,7 +236,9 @@ def row_of(one: Asked, rooms: Sequence[Gestures], sample: Sample, seed: int) -> 
     for name, values in means.items():
         found |= dict(zip((name, f"{name}_low", f"{name}_high"), mean_of(values, who, seed)))
     found |= dict(zip(("angle_median", "angle_low", "angle_high"), median_of(angle, who, seed)))
-    found |= dict(zip(("object_right", "object_low", "object_high"), mean_of(100.0 * sample.scored.right, who, seed)))
+    found |= dict(
+        zip(("object_right", "object_low", "object_high"), mean_of(100.0 * np.asarray(sample.scored.right), who, seed))
+    )
     views = "all" if one.condition.views is None else str(one.condition.views)
     return Row(
         one.section, one.people, one.condition.line, one.condition.method, views, one.correction, one.varied,

@@ -146,8 +146,9 @@ def _draw_bars(axes: Axes, rows: list[Row]) -> None:
                 if row.section in ("table 2", "lines") and row.people == people and row.line == line:
                     if row.views != "all" or row.correction != "constant":
                         continue
-                    axes.barh(place + 0.4 * k - 0.2, row.angle_median, 0.36, color=colour, alpha=0.8,
-                              xerr=[[max(row.angle_median - row.angle_low, 0)], [max(row.angle_high - row.angle_median, 0)]],
+                    middle = row.angle_median
+                    around = np.maximum([[middle - row.angle_low], [row.angle_high - middle]], 0)
+                    axes.barh(place + 0.4 * k - 0.2, middle, 0.36, color=colour, alpha=0.8, xerr=around,
                               error_kw={"ecolor": FAINT}, label=people if place == 0 else None)  # fmt: skip
     axes.set_yticks(range(len(lines)), lines)
     axes.invert_yaxis()

@@ -25,14 +25,14 @@ def common_direction(normals: Float[Array, "3 V B"]) -> Float[Array, "3 B"]:
     columns = ((a, b, c), (b, d, e), (c, e, f))
     # The column of the largest diagonal entry is the longest one, or nearly so.
     best = (a >= d) & (a >= f), d >= f
-    found = tuple(jnp.where(best[0], p, jnp.where(best[1], q, r)) for p, q, r in zip(*columns))
+    found = jnp.stack([jnp.where(best[0], p, jnp.where(best[1], q, r)) for p, q, r in zip(*columns)])
     for _ in range(_ROUNDS):
         u, v, w = _scaled(found)
-        found = a * u + b * v + c * w, b * u + d * v + e * w, c * u + e * v + f * w
-    return jnp.stack(_scaled(found))
+        found = jnp.stack([a * u + b * v + c * w, b * u + d * v + e * w, c * u + e * v + f * w])
+    return _scaled(found)
 
 
-def _scaled(vector: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    squared = vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2
-    inverse = jnp.where(squared > 0, 1 / jnp.sqrt(jnp.where(squared > 0, squared, 1.0)), 0.0)
-    return vector[0] * inverse, vector[1] * inverse, vector[2] * inverse
+def _scaled(vectors: Float[Array, "3 B"]) -> Float[Array, "3 B"]:
+    squared = jnp.sum(vectors**2, axis=0)
+    some = squared > 0
+    return vectors * jnp.where(some, 1 / jnp.sqrt(jnp.where(some, squared, 1.0)), 0.0)[None]
