@@ -178,20 +178,20 @@ def as_markdown(table: Table) -> str:
 
 
 def thesis_table(rows: list[Row]) -> Table:
-    """Table 2 in kind: signed mean and deviation, mean absolute error and its interval, beside what the thesis has."""
+    """Table 2 in kind: signed mean and deviation, mean absolute error and half its interval, beside what the thesis has."""
     header = ["people and line", "azimuth", "absolute", "elevation", "absolute", "object, %"]
     cells = [
-        [f"thesis (sign not said): {name}", f"{azimuth:.2f} (sd {azimuth_sd:.2f})", "",
-         f"{elevation:.2f} (sd {elevation_sd:.2f})", "", ""]
+        [f"thesis: {name}", f"{azimuth:.3f} (sd {azimuth_sd:.3f})", "",
+         f"{elevation:.3f} (sd {elevation_sd:.3f})", "", ""]
         for name, (azimuth, elevation, azimuth_sd, elevation_sd) in THESIS.items()
     ]  # fmt: skip
     for row in (row for row in rows if row.section == "table 2"):
         cells.append([
             f"{row.people}: {described(row)}",
             f"{row.azimuth:+.2f} (sd {row.azimuth_sd:.2f})",
-            f"{row.azimuth_abs:.2f} ({row.azimuth_abs_low:.2f} to {row.azimuth_abs_high:.2f})",
+            f"{row.azimuth_abs:.2f} ± {(row.azimuth_abs_high - row.azimuth_abs_low) / 2:.2f}",
             f"{row.elevation:+.2f} (sd {row.elevation_sd:.2f})",
-            f"{row.elevation_abs:.2f} ({row.elevation_abs_low:.2f} to {row.elevation_abs_high:.2f})",
+            f"{row.elevation_abs:.2f} ± {(row.elevation_abs_high - row.elevation_abs_low) / 2:.2f}",
             f"{row.object_right:.0f}",
         ])  # fmt: skip
     return Table(header, cells)

@@ -121,10 +121,10 @@ def draw_sweeps(rows: list[Row]) -> Figure:
             axes.xaxis.set_minor_locator(NullLocator())
             axes.yaxis.set_major_formatter("{x:g}")
         else:
-            axes.set_ylim(0, 1.35 * max(row.angle_high for row in own))
+            axes.set_ylim(0, (1.9 if len(series) > 2 else 1.35) * max(row.angle_high for row in own))
         axes.tick_params(labelsize=7.5)
         axes.set(title=section.capitalize(), xlabel=own[0].varied if own else "")
-        axes.legend(fontsize=7, ncols=2 if len(series) > 2 and not logarithmic else 1, columnspacing=1.0)
+        axes.legend(fontsize=7)
     for axes in figure.axes[::4]:
         axes.set_ylabel("median error, degrees")
     return figure
@@ -152,5 +152,5 @@ def _draw_bars(axes: Axes, rows: list[Row]) -> None:
                               error_kw={"ecolor": FAINT}, label=people if place == 0 else None)  # fmt: skip
     axes.set_yticks(range(len(lines)), lines)
     axes.invert_yaxis()
-    axes.set(title="Lines, constant off", xlabel="median error, degrees", xlim=(0, 1.6 * axes.get_xlim()[1]))
+    axes.set(title="Lines, constant off", xlabel="median error, degrees", xlim=(0, 2.1 * axes.get_xlim()[1]))
     axes.legend(fontsize=7, loc="center right")

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 import pointing_ablation as ablation
 from jaxpoint.pointing.bias.models import Constant
+from pointing_conditions import mean_of, median_of
 from pointing_monte_carlo import Condition, Noise, _normal, disturbed, jobs_of, line_ends, point
 from pointing_people import Setting, gestures_of, law
 
@@ -162,10 +163,10 @@ def test_intervals_are_over_people():
     rng = np.random.default_rng(0)
     who = np.repeat(np.arange(25), 400)
     values = rng.normal(size=25)[who] + 0.1 * rng.normal(size=len(who))
-    mean, low, high = ablation.mean_of(values, who, 0)
+    mean, low, high = mean_of(values, who, 0)
     assert low < mean < high
     assert (high - low) / (2 * 1.96) == pytest.approx(0.2, rel=0.35)  # 1 / sqrt(25), not 1 / sqrt(10,000)
-    assert ablation.median_of(values, who, 0)[2] - ablation.median_of(values, who, 0)[1] > 0.3
+    assert np.ptp(median_of(values, who, 0)[1:]) > 0.3
 
 
 def test_detection_rates_ask_for_two_right_views(tmp_path):
