@@ -178,7 +178,7 @@ def as_markdown(table: Table) -> str:
 
 
 def thesis_table(rows: list[Row]) -> Table:
-    """Table 2 in kind: signed mean and deviation, mean absolute error and half its interval, beside what the thesis has."""
+    """Table 2 in kind: signed mean and deviation, mean absolute error and half its interval; the thesis above."""
     header = ["people and line", "azimuth", "absolute", "elevation", "absolute", "object, %"]
     cells = [
         [f"thesis: {name}", f"{azimuth:.3f} (sd {azimuth_sd:.3f})", "",
