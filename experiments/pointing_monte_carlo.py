@@ -266,11 +266,11 @@ def plane_direction(
     """
     assert isinstance(cameras.distortion, Brown)
     wanted = visible.T
-    ideal = []
-    for end in range(2):
-        x, y = ((pixels[i, end] - cameras.center[i]) / cameras.focal[i] for i in range(2))
-        ideal.append(undistort_rows(cameras.distortion.coefficients, x, y, wanted)[:2])
-    (u0, v0), (u1, v1) = ideal
+    both = jnp.concatenate([pixels[:, 0], pixels[:, 1]], axis=2)  # one program for both ends
+    x, y = ((both[i] - cameras.center[i]) / cameras.focal[i] for i in range(2))
+    twice = jnp.concatenate([wanted, wanted], axis=1)
+    u, v, _ = undistort_rows(cameras.distortion.coefficients, x, y, twice)
+    (u0, u1), (v0, v1) = jnp.split(u, 2, axis=1), jnp.split(v, 2, axis=1)
     r = cameras.cam_from_world.rotation
     rays = [jnp.stack([u * r[0, i] + v * r[1, i] + r[2, i] for i in range(3)]) for u, v in ((u0, v0), (u1, v1))]
     normals = jnp.where(wanted[None], cameras.focal[0][None] * _cross(*rays), 0.0)
