@@ -29,8 +29,8 @@ from jaxpoint.geometry.arrays import as_float
 from jaxpoint.geometry.line import Ray, normalised
 from jaxpoint.geometry.pose import Pose
 from jaxpoint.pointing.bias.models import AbstractModel, Constant
-from jaxpoint.pointing.hits import meet
-from jaxpoint.pointing.objects import Shapes
+from jaxpoint.pointing.hits import intersect
+from jaxpoint.pointing.objects import Objects, Shapes
 from jaxpoint.pointing.planes import common_direction
 from jaxpoint.triangulation import triangulate
 from pointing_people import Gestures
@@ -292,9 +292,8 @@ def _score(shapes: Shapes, origin: Array, direction: Array, tip: Array, target: 
     to = target - tip
     found, true = azimuth_elevation(direction), azimuth_elevation(to)
     off = jnp.linalg.norm(jnp.cross(direction, to), axis=-1)
-    distance, _, _ = jax.vmap(partial(meet, shapes))(Ray(origin, direction))
-    first = jnp.argmin(distance, axis=1)
-    named = jnp.where(jnp.isfinite(jnp.min(distance, axis=1)), shapes.owner[first], -1)
+    hits = intersect(Ray(origin, direction), Objects(shapes, (), (), ()), most=1)
+    named = jnp.where(hits.valid[:, 0], hits.object[:, 0], -1)
     return Scored(
         wrapped(found[:, 0] - true[:, 0]),
         found[:, 1] - true[:, 1],
