@@ -187,7 +187,7 @@ def thesis_table(rows: list[Row]) -> Table:
     ]  # fmt: skip
     for row in (row for row in rows if row.section == "table 2"):
         cells.append([
-            f"{row.people}: {described(row)}",
+            f"{row.people}: {described(row)}".replace("forearm, ", "").replace("constant elevation", "elevation"),
             f"{row.azimuth:+.2f} (sd {row.azimuth_sd:.2f})",
             f"{row.azimuth_abs:.2f} ± {(row.azimuth_abs_high - row.azimuth_abs_low) / 2:.2f}",
             f"{row.elevation:+.2f} (sd {row.elevation_sd:.2f})",
