@@ -13,7 +13,7 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jaxpoint.config.people import ApproximateSettings, Normal
 
@@ -30,7 +30,7 @@ def main() -> None:
     print(f"| the finger is not seen | {np.median(np.hypot(*(forearm - np.median(forearm, axis=0)).T)):.2f} |")
     for noise in FINGER_NOISE_DEG:
         (known, seen), (true, asked) = drawn(rng, law, KNOWN, noise), drawn(rng, law, ASKED, noise)
-        _, alike = cKDTree(seen).query(asked, ALIKE)
+        _, alike = KDTree(seen).query(asked, ALIKE)
         print(f"| {noise} | {np.median(np.hypot(*(true - np.median(known[alike], axis=1)).T)):.2f} |")
 
 
