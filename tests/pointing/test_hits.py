@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from furnished import rays, room, things
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import rays, room, things
 from scipy.optimize import linprog, lsq_linear
 
 from jaxpoint.compilation import jit_once

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from rooms import things
+from furnished import things
 from scipy.stats import multivariate_normal, multivariate_t
 
 from jaxpoint.compilation import jit_once

@@ -153,7 +153,7 @@ def _answer(
     given: _Given,
     way: Hypothesis,
     measured,
-    chance: Float[np.ndarray, " K+1"],
+    chance: Float[np.ndarray, " answers"],
     words: Sequence[str],
 ) -> Answer:
     scene = given.scene
