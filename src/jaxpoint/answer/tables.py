@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from jaxpoint.answer.answers import Answer
-from jaxpoint.answer.sentence import sentence
+from jaxpoint.answer.sentence import as_json
 
 COLUMNS = (
     "gesture", "person", "start_s", "end_s", "time_s", "frame", "words", "line", "views", "tip_x_m", "tip_y_m",
@@ -26,27 +26,15 @@ def gestures_table(answers: Sequence[Answer]) -> dict[str, list]:
 
 def _line(answer: Answer) -> dict[str, Any]:
     chances = dict(answer.probabilities)
+    told = as_json(answer)
     line: dict[str, Any] = {
-        "gesture": answer.number,
-        "person": answer.person,
-        "start_s": answer.start_s,
-        "end_s": answer.end_s,
-        "time_s": answer.time_s,
-        "frame": answer.frame,
+        **{name: told[name] for name in COLUMNS if name in told},
         "words": " ".join(answer.words),
-        "line": answer.line,
-        "views": answer.views,
-        "azimuth_deg": answer.azimuth_deg,
-        "elevation_deg": answer.elevation_deg,
-        "sigma_deg": answer.sigma_deg,
-        "answer": answer.name,
-        "distance_m": answer.distance_m,
-        "probability": answer.probability,
         "ambiguous": int(answer.ambiguous),
         "nothing_probability": chances.get("nothing", 0.0),
         "hits": "; ".join(place.name for place in answer.hits),
         "hit_distances_m": "; ".join(f"{place.distance_m:.3f}" for place in answer.hits),
-        "sentence": sentence(answer),
+        "surface": None,
         "reasons": " ".join(answer.reasons),
     }
     line.update({f"tip_{axis}_m": float(answer.origin[i]) for i, axis in enumerate("xyz")})

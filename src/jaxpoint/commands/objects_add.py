@@ -105,14 +105,12 @@ def _clicked(views: Path, calibration: Path | None) -> tuple[np.ndarray, float, 
     rig = saved.rig
     pixels, seen = np.zeros((4, len(rig), 2)), np.zeros((4, len(rig)), bool)
     for row in read_table(views, ("camera", "corner", "x", "y")):
-        camera, corner = row.text("camera"), row.text("corner")
-        if camera not in rig.names:
-            raise row.error(f"there is no camera '{camera}'; the cameras are {', '.join(rig.names)}.")
+        camera, corner = row.camera(rig.names), row.text("corner")
         if corner not in ORDER:
             raise row.error(f"there is no corner '{corner}'; the corners are {', '.join(ORDER)}.")
-        place = ORDER.index(corner), rig.names.index(camera)
+        place = ORDER.index(corner), camera
         if seen[place]:
-            raise row.error(f"the corner '{corner}' is given twice for camera '{camera}'; keep one.")
+            raise row.error(f"the corner '{corner}' is given twice for camera '{rig.names[camera]}'; keep one.")
         pixels[place], seen[place] = (row.number("x"), row.number("y")), True
     for corner, count in zip(ORDER, seen.sum(axis=1)):
         if count < 2:

@@ -95,6 +95,13 @@ class Row:
             )
         return int(number)
 
+    def camera(self, names: Sequence[str]) -> int:
+        """The place of column `camera` among names."""
+        name = self.text("camera")
+        if name not in names:
+            raise self.error(f"there is no camera '{name}'; the cameras are {', '.join(names)}.")
+        return list(names).index(name)
+
     def missing(self, column: str) -> bool:
         """Whether the value is empty or NaN."""
         return self.values.get(column, "").lower() in {"", "nan", "na"}

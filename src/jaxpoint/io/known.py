@@ -47,11 +47,8 @@ def read_landmark_pixels(path: StrPath, cameras: Sequence[str]) -> LandmarkPixel
     pixels = np.zeros((len(names), len(cameras), 2))
     visible = np.zeros((len(names), len(cameras)), bool)
     point_index = {name: i for i, name in enumerate(names)}
-    camera_index = {name: i for i, name in enumerate(cameras)}
     for row in rows:
-        if row.text("camera") not in camera_index:
-            raise row.error(f"there is no camera '{row.text('camera')}'; the cameras are {', '.join(cameras)}.")
-        place = point_index[row.text("name")], camera_index[row.text("camera")]
+        place = point_index[row.text("name")], row.camera(cameras)
         if visible[place]:
             raise row.error(f"'{row.text('name')}' is given twice for camera '{row.text('camera')}'; keep one.")
         pixels[place], visible[place] = (row.number("x"), row.number("y")), True

@@ -6,7 +6,6 @@ pixel ((0, 0) is the centre of the top-left one), and how far around it all pixe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +41,7 @@ def read_marker_samples(path: StrPath, session: Session, radius_px: float) -> li
 
 
 def _sample(row: Row, session: Session, radius_px: float) -> MarkerSample:
-    camera = _camera(row, session.names)
+    camera = row.camera(session.names)
     frame = row.integer("frame")
     found = np.flatnonzero(session.moments == frame)
     if not len(found) or session.frame_index[found[0], camera] < 0:
@@ -61,10 +60,3 @@ def _sample(row: Row, session: Session, radius_px: float) -> MarkerSample:
     if radius < 0:
         raise row.error(f"column 'radius_px' is {radius:g}; give 0 or more.")
     return MarkerSample(camera, int(found[0]), x, y, radius)
-
-
-def _camera(row: Row, names: Sequence[str]) -> int:
-    name = row.text("camera")
-    if name not in names:
-        raise row.error(f"there is no camera '{name}'; the cameras are {', '.join(names)}.")
-    return list(names).index(name)

@@ -8,7 +8,6 @@ them. `frame` is the number of the moment in the session, x and y are px, (0, 0)
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +53,7 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> Poses:
         confidence = row.number("confidence")
         if not 0 <= confidence <= 1:
             raise row.error(f"column 'confidence' is {confidence:g}; give it as 0 to 1.")
-        key = (_moment(row, places, session), _camera(row, session.names), row.values.get("person", ""))
+        key = (_moment(row, places, session), row.camera(session.names), row.values.get("person", ""))
         known = known or joint in JOINTS
         if joint not in JOINTS or confidence < min_confidence:
             continue
@@ -89,13 +88,6 @@ def _moment(row: Row, places: dict[int, int], session: Session) -> int:
             f"the session has no frame {frame}; its frames go from {session.moments.min()} to {session.moments.max()}."
         )
     return places[frame]
-
-
-def _camera(row: Row, names: Sequence[str]) -> int:
-    name = row.text("camera")
-    if name not in names:
-        raise row.error(f"there is no camera '{name}'; the cameras are {', '.join(names)}.")
-    return list(names).index(name)
 
 
 def _stacked(found: dict[tuple[int, int, str], dict[str, tuple[float, float, float]]]) -> Poses:
