@@ -25,6 +25,7 @@ from jaxpoint.detect.arm import (
 )
 from jaxpoint.person.association import Arm, LimbRays, agreeing_views, associate, common_point, stretch
 from jaxpoint.person.promise import NEAREST_M, Promise, promise, rays_through, strips_axis
+from jaxpoint.person.refuted import looks_past
 from jaxpoint.pointing.axis import LimbAxis
 
 HEAD_M = 0.24  # height of a head
@@ -84,6 +85,7 @@ class PointingArm:
     axis: LimbAxis
     views: tuple[ArmView, ...]
     stretch: float  # m, how far the tip is from the body's upright axis
+    past: int = 0  # views that look past it
 
     @property
     def direction(self) -> Float[np.ndarray, "3"]:
@@ -94,6 +96,11 @@ class PointingArm:
     def counted(self) -> int:
         """Number of views that have a say."""
         return sum(view.reason == ArmReason.FOUND for view in self.views)
+
+    @property
+    def refuted(self) -> bool:
+        """Whether as many views look past it as see it: it may still be there, behind furniture."""
+        return self.past >= self.counted
 
 
 @dataclass(frozen=True)
@@ -142,14 +149,20 @@ def find_arm(
     scene = _scene(rig, crops)
     limbs, cameras = _limbs(scene, head, head_px)
     arms = sorted(associate(_rays_of(scene, limbs, cameras), head), key=lambda arm: -stretch(arm.tip, head))
+    farthest, doubtful = None, None
     for arm in arms:
-        if stretch(arm.tip, head) < stretch(arms[0].tip, head) - RIVAL_M:
+        reach = stretch(arm.tip, head)
+        if farthest is not None and reach < farthest - RIVAL_M:
             break  # the arm that is stretched out could not be measured; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
         measured = _measured(scene, arm, own, limb_span(head))
-        if measured is not None:
-            return replace(measured, stretch=stretch(arm.tip, head))
-    return None
+        if measured is not None and not measured.refuted:
+            return replace(measured, stretch=reach)
+        if measured is None:
+            farthest = farthest or reach
+        elif doubtful is None:
+            doubtful = replace(measured, stretch=reach)
+    return doubtful
 
 
 def find_arm_again(
@@ -245,7 +258,8 @@ def _measured(
     for camera, view in enumerate(views):
         if view.reason == ArmReason.FOUND:
             views[camera] = replace(view, tip=seen.get(camera, projected[camera]))
-    return PointingArm(tip, spread, axis, tuple(views), 0.0)
+    past = int(looks_past(scene.crops, best.promised.pixels, scene.sizes).sum())
+    return PointingArm(tip, spread, axis, tuple(views), 0.0, past)
 
 
 def _starts(arm: Arm) -> list[Float[np.ndarray, "3"]]:
