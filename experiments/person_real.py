@@ -71,7 +71,7 @@ STILL_PEOPLE = {
     "cam04": [((0, 960, 500, 1920), (80, 100))],
 }
 SETTINGS = PersonSettings()
-DRAWN = "green: the silhouette's outline; yellow: its head, red where it was rejected"
+DRAWN = "Green: the silhouette's outline; yellow: its head, red where it was rejected"
 SHEETS = {
     "pose2sim.png": f"pose2sim_single, given background. {DRAWN}; cross: the labelled cap.",
     "vtest.png": f"opencv_vtest, the median as background. {DRAWN}.",
@@ -300,15 +300,18 @@ def arms_in_space(
         if arm is None:
             continue
         to_wrist = [np.linalg.norm(own[k, 1] - arm.tip) for own in arms.values()]
-        elbow, wrist = list(arms.values())[int(np.argmin(to_wrist))][k]
-        angles.append(between(arm.direction, wrist - elbow))
-        offs.append(np.linalg.norm(np.cross((elbow + wrist) / 2 - arm.tip, arm.direction)))
+        ends = list(arms.values())[int(np.argmin(to_wrist))][k]
+        angles.append(between(arm.direction, ends[1] - ends[0]))
+        # The tip is no point of the axis: a hand may be bent.
+        beside = np.linalg.norm(np.cross(ends - np.asarray(arm.axis.near), arm.direction), axis=1)
+        offs.append((*beside, min(to_wrist)))
     right = np.array(angles) < ARM_RIGHT_DEG
+    elbow, wrist, tip = 100 * np.median(np.array(offs)[right], axis=0)
     yield (
         f"our arm in 3-D: answers; within {ARM_RIGHT_DEG:.0f} degrees of a labelled forearm; of these direction, "
-        "median, mean, and distance of its line from the forearm's middle, median",
+        "median, mean; its axis from the labelled elbow and wrist, median; its tip from the wrist, median",
         f"{len(angles)} of {FRAMES // 5} frames; {right.sum()}; {np.median(np.array(angles)[right]):.1f}, "
-        f"{np.mean(np.array(angles)[right]):.1f} degrees, {100 * np.median(np.array(offs)[right]):.1f} cm",
+        f"{np.mean(np.array(angles)[right]):.1f} degrees; {elbow:.1f}, {wrist:.1f} cm; {tip:.1f} cm",
     )
 
 
