@@ -10,24 +10,21 @@ alone; nothing was tuned on them.
 
     python experiments/person_evaluation.py --seeds 0 4 --gestures 8 --out evaluation
 
-Each session's scores are kept in the folder of --out, so that a run that was cut short goes on where it stopped.
+Each session's scores are kept in the folder of --out, so that a run that was cut short goes on where it stopped, and
+`pointing_evaluation.py` with the same folder renders nothing anew.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import multiprocessing
-from dataclasses import replace
+import sys
 from pathlib import Path
 
 import numpy as np
 
-from jaxpoint.config.people import SleeveShares
-from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.errors import JaxpointError
+from scored_sessions import PEOPLE_A_SESSION, scored_sessions
 
-PEOPLE_A_SESSION = 8  # as many as the masks of a session can tell apart
-SHOWING = SleeveShares(none=0.1, short=0.45, elbow=0.2, rolled=0.25, long=0.0)
 USABLE = 0.6, 45.0  # share of the forearm seen, angle to the line of sight in degrees
 RESAMPLES = 2000
 
@@ -40,46 +37,12 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("evaluation"))
     args = parser.parse_args()
-    if not 1 <= args.gestures <= PEOPLE_A_SESSION:
-        parser.error(f"--gestures is 1 to {PEOPLE_A_SESSION}: masks tell no more people apart.")
-    args.out.mkdir(parents=True, exist_ok=True)
-    jobs = [(seed, args.gestures, args.every, args.out / f"seed_{seed}.json") for seed in range(*args.seeds)]
-    left = [job for job in jobs if not job[-1].exists()]
-    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
-        for done, seed in enumerate(pool.imap_unordered(_score, left), start=1):
-            print(f"session {seed} scored, {done} of {len(left)}", flush=True)
-    views, gestures = [], []
-    for *_, path in jobs:
-        kept = json.loads(path.read_text())
-        views += kept["views"]
-        gestures += kept["gestures"]
+    sessions = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out)
+    views = [view for session in sessions for view in session["views"]]
+    gestures = [gesture for session in sessions for gesture in session["gestures"]]
     table = summary(views, gestures)
-    (args.out / "evaluation.md").write_text(table)
+    (args.out / "person.md").write_text(table)
     print(table)
-
-
-def settings_of(gestures: int) -> SimulationSettings:
-    """Single gestures, each by another person, whose sleeves show the forearm."""
-    settings = SimulationSettings()
-    looks = replace(settings.people.looks, sleeves=SHOWING)
-    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures, looks=looks)
-    return replace(settings, people=people)
-
-
-def _score(job: tuple[int, int, int, Path]) -> int:
-    import cv2
-    import jax
-
-    from person_scores import as_rows, score_session
-
-    seed, gestures, every, path = job
-    cv2.setNumThreads(1)
-    with jax.enable_x64(True):
-        views, scores = score_session(settings_of(gestures), seed, every=every)
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps({"views": as_rows(views), "gestures": as_rows(scores)}))
-    beside.rename(path)
-    return seed
 
 
 def summary(views: list[dict], gestures: list[dict]) -> str:
@@ -147,4 +110,8 @@ def _by(gestures: list[dict], key: str) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except JaxpointError as error:
+        sys.stderr.write(f"person_evaluation: {error}\n")
+        sys.exit(error.exit_code)

@@ -5,7 +5,7 @@ noticed that the median image holds him? How often do the median, MOG2 and a bac
 calibration's stills, from which he is cut out) find him and his head, how far is the head from the labelled cap, in
 the images and in 3-D, and the thesis's and our forearm from the labelled elbow and wrist? opencv_vtest and
 bodypose3d_cam0 have no truth: they are counted, and looked at. hand_keypoints: skin and tip against the labels. Writes
-one table, and a sheet of pictures of each recording to look at.
+one table, a sheet of pictures of each recording to look at, and `report.html` with all of it.
 
     python experiments/person_real.py DATA --out person_real
 """
@@ -25,6 +25,7 @@ import jax
 import numpy as np
 import tyro
 from jaxtyping import Float
+from markupsafe import Markup
 from scipy.interpolate import CubicSpline
 
 from jaxpoint.camera.rig import CameraRig
@@ -48,6 +49,11 @@ from jaxpoint.detect.thesis import thesis_forearm
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.video import open_frames
 from jaxpoint.person.arms import find_arm
+from jaxpoint.report.html import render, write_page
+from jaxpoint.report.person import titled
+from jaxpoint.report.style import to_data_uri
+from jaxpoint.report.tables import Table, origin_table
+from jaxpoint.runs import provenance
 from pose2sim import BAR, BARRED, BARRED_SIZE, Labels, located, missed, read_labels, video_rig
 
 Row = tuple[str, str, str]
@@ -65,6 +71,15 @@ STILL_PEOPLE = {
     "cam04": [((0, 960, 500, 1920), (80, 100))],
 }
 SETTINGS = PersonSettings()
+DRAWN = "Green: the silhouette's outline; yellow: its head, red where it was rejected"
+SHEETS = {
+    "pose2sim.png": f"pose2sim_single, given background. {DRAWN}; cross: the labelled cap.",
+    "vtest.png": f"opencv_vtest, the median as background. {DRAWN}.",
+    "bodypose3d_static.png": f"bodypose3d_cam0, the median as background: it holds him in the chair. {DRAWN}.",
+    "bodypose3d_mog2.png": f"bodypose3d_cam0, MOG2. {DRAWN}.",
+    "hands.png": "hand_keypoints. Green: the region of skin that holds most keypoints; yellow: its axis; cross: the "
+    "labelled tip of the index finger.",
+}
 
 
 @dataclass(frozen=True)
@@ -84,13 +99,37 @@ def main() -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     lines = ["| recording | figure | reached |", "|---|---|---|"]
     sys.stdout.write("\n".join(lines) + "\n")
+    rows: list[Row] = []
     for part in (balancing, passing, sitting, hands):
         for row in part(options.data, options.out):
+            rows.append(row)
             lines.append(f"| {' | '.join(row)} |")
             sys.stdout.write(lines[-1] + "\n")
             sys.stdout.flush()
     (options.out / "person_real.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_page(options.out / "report.html", page(rows, options.out))
     return 0
+
+
+def page(rows: list[Row], folder: Path) -> str:
+    """The table and the sheets of a folder on one page."""
+    pictures = []
+    for name, caption in SHEETS.items():
+        uri = to_data_uri(read_image(folder / name)[..., ::-1])
+        pictures.append((Markup('<img src="{}" alt="{}" style="width: 100%">').format(uri, caption), caption))
+    return render(
+        "study.html.j2",
+        kind="experiment",
+        title="The detectors of a person on real video",
+        subtitle="Silhouettes and heads to look at, beside what was counted",
+        sections=[("found", "What was found"), ("pictures", "In pictures"), ("figures", "All figures"),
+                  ("provenance", "Provenance")],
+        found="The man of pose2sim_single is compared with joints labelled by eye. opencv_vtest and bodypose3d_cam0 "
+        "have no truth: their silhouettes and heads are counted, and here to be judged by eye.",
+        figures=pictures,
+        rows=Table(["recording", "figure", "reached"], [[cell.replace("`", "") for cell in row] for row in rows]),
+        provenance=origin_table(provenance("python experiments/person_real.py", [], 0), {}, None),
+    )  # fmt: skip
 
 
 # ---------------------------------------------------------------------------------------------- pose2sim_single
@@ -129,7 +168,8 @@ def balancing(data: Path, out: Path) -> Iterator[Row]:
     ):
         yield name, figure, reached
     shown = [(i, camera, k) for i, camera in enumerate(rig.names) for k in (5, 35, 65, 95)]
-    sheet(out / "pose2sim.png", [drawn(videos[camera][k], found[i][k], caps[k, i]) for i, camera, k in shown], 4)
+    pictures = [(f"{camera}, frame {k}", drawn(videos[camera][k], found[i][k], caps[k, i])) for i, camera, k in shown]
+    sheet(out / "pose2sim.png", pictures, 4)
 
 
 def joint_track(rig: CameraRig, labels: dict[tuple[int, str], Labels], joint: str) -> Float[np.ndarray, "F 3"]:
@@ -260,15 +300,18 @@ def arms_in_space(
         if arm is None:
             continue
         to_wrist = [np.linalg.norm(own[k, 1] - arm.tip) for own in arms.values()]
-        elbow, wrist = list(arms.values())[int(np.argmin(to_wrist))][k]
-        angles.append(between(arm.direction, wrist - elbow))
-        offs.append(np.linalg.norm(np.cross((elbow + wrist) / 2 - arm.tip, arm.direction)))
+        ends = list(arms.values())[int(np.argmin(to_wrist))][k]
+        angles.append(between(arm.direction, ends[1] - ends[0]))
+        # The tip is no point of the axis: a hand may be bent.
+        beside = np.linalg.norm(np.cross(ends - np.asarray(arm.axis.near), arm.direction), axis=1)
+        offs.append((*beside, min(to_wrist)))
     right = np.array(angles) < ARM_RIGHT_DEG
+    elbow, wrist, tip = 100 * np.median(np.array(offs)[right], axis=0)
     yield (
         f"our arm in 3-D: answers; within {ARM_RIGHT_DEG:.0f} degrees of a labelled forearm; of these direction, "
-        "median, mean, and distance of its line from the forearm's middle, median",
+        "median, mean; its axis from the labelled elbow and wrist, median; its tip from the wrist, median",
         f"{len(angles)} of {FRAMES // 5} frames; {right.sum()}; {np.median(np.array(angles)[right]):.1f}, "
-        f"{np.mean(np.array(angles)[right]):.1f} degrees, {100 * np.median(np.array(offs)[right]):.1f} cm",
+        f"{np.mean(np.array(angles)[right]):.1f} degrees; {elbow:.1f}, {wrist:.1f} cm; {tip:.1f} cm",
     )
 
 
@@ -351,8 +394,8 @@ def without_truth(name: str, images: list[Image], scene: Scene, path: Path) -> I
             picture = image
             for one in found:
                 picture = drawn(picture, one, None)
-            pictures.append(picture)
-    sheet(path, pictures, 4)
+            pictures.append((f"frame {k}", picture))
+    sheet(path, pictures, 3, 480)
     figure = f"background {scene.method}: `never_clears`; images with a silhouette, with a head in the largest"
     yield name, figure, f"{share:.3f}; {seen}, {heads} of {len(images)}"
 
@@ -378,7 +421,7 @@ def hands(data: Path, out: Path) -> Iterator[Row]:
             f"median {np.median(tip):.2f}; {(tip < 0.25).sum()}",
         )
     by_shape = sorted(labelled, key=lambda one: one[0].shape[0] / one[0].shape[1])
-    sheet(out / "hands.png", [hand_drawn(image, points) for image, points in by_shape], 4)
+    sheet(out / "hands.png", [("", hand_drawn(image, points)) for image, points in by_shape], 4)
 
 
 def read_hands(folder: Path) -> Iterator[tuple[Image, Float[np.ndarray, "K 2"]]]:
@@ -469,11 +512,12 @@ def hand_drawn(image: Image, points: Float[np.ndarray, "K 2"]) -> Image:
     return picture
 
 
-def sheet(path: Path, pictures: list[Image], columns: int, width: int = 300) -> None:
-    """Pictures in rows, all of one width; each row is as high as its highest."""
-    small = [
-        cv2.resize(p, (width, round(width * p.shape[0] / p.shape[1])), interpolation=cv2.INTER_AREA) for p in pictures
-    ]
+def sheet(path: Path, pictures: list[tuple[str, Image]], columns: int, width: int = 300) -> None:
+    """Pictures under their titles in rows, all of one width; each row is as high as its highest."""
+    small = []
+    for title, picture in pictures:
+        size = width, round(width * picture.shape[0] / picture.shape[1])
+        small.append(titled(np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), title, "", lines=1))
     small += [np.zeros((1, width, 3), np.uint8)] * (-len(small) % columns)
     rows = []
     for first in range(0, len(small), columns):

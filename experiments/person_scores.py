@@ -1,39 +1,25 @@
-"""Scores of one simulated session: the default and the thesis's method on the same images, against the truth.
-
-Used by `person_evaluation.py`. Images stream from the renderer to the detectors and are never kept.
-"""
+"""Scores of one gesture: the default and the thesis's method on the same images, against the truth; used by
+`scored_sessions.py`."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import cv2
 import jax
 import numpy as np
 
-from jaxpoint.config.person import PersonSettings
-from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.detect.marker import MarkerModel
-from jaxpoint.detect.motion import learn_threshold, motion_between
-from jaxpoint.detect.person import PersonWatch
-from jaxpoint.detect.silhouette import foreground, learn_background, silhouettes
-from jaxpoint.detect.thesis import thesis_finger, thesis_forearm
+from jaxpoint.detect.thesis import thesis_finger
 from jaxpoint.person.arms import ArmReason, PointingArm, find_arm
-from jaxpoint.person.following import follow
-from jaxpoint.person.views import watch
-from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
-from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
+from jaxpoint.simulate.mesh import PARTS_A_PERSON
+from jaxpoint.simulate.session import SimulatedFrame
+from jaxpoint.simulate.truth import ARM
 from marker_tip import taught
+from session_pixels import GesturePixels
 
-LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 COVERED = 0.3  # of the visible forearm and hand that a right region must hold
-ARM = {
-    "left": (Part.LEFT_UPPER_ARM, Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),
-    "right": (Part.RIGHT_UPPER_ARM, Part.RIGHT_FOREARM, Part.RIGHT_HAND, Part.RIGHT_FINGER),
-}
 
 
 @dataclass(frozen=True)
@@ -77,84 +63,59 @@ class GestureScore:
     arm_ms: float  # of all views of a frame together
 
 
-def score_session(
-    settings: SimulationSettings, seed: int, person: PersonSettings | None = None, every: int = 1
-) -> tuple[list[ViewScore], list[GestureScore]]:
-    """Run both methods over the holds of one session, of which every so many frames are looked at."""
-    person = person or PersonSettings()
-    session = simulate_session(settings, seed)
-    cameras = range(len(session.viewpoints))
-    rooms = [learnt(session, camera, person) for camera in cameras]
-    focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
-    views, scores = [], []
-    for gesture in session.gestures:
-        first = session.frame_at(gesture.hold_first_s) + 1
-        held = range(first, session.frame_at(gesture.hold_last_s), every)
-        moments = [*range(first - LEAD, first), *held]
-        shown: dict[tuple[int, int], SimulatedFrame] = {}
-        seen, spent = [], np.zeros(len(cameras))
-        for camera in cameras:
-            frames = [session.frame(moment, camera) for moment in moments]
-            shown |= {(frame.frame, camera): frame for frame in frames}
-            size = (frames[0].image.shape[1], frames[0].image.shape[0])
-            watcher = PersonWatch(rooms[camera][0], rooms[camera][1], float(focal[camera]), person)
-            started = time.perf_counter()
-            seen.append(watch(((i, f.image) for i, f in enumerate(frames)), len(frames), size, watcher))
-            spent[camera] = 1e3 * (time.perf_counter() - started) / len(frames)
-        times = np.array([session.time_of(moment) for moment in moments])
-        started = time.perf_counter()
-        with jax.enable_x64(True):
-            following = follow(session.rig, seen, times, frame_ids=np.array(moments))
-        arm_ms = 1e3 * (time.perf_counter() - started) / len(moments)
-        arms = _arms_of(following, session, gesture, moments)
-        cap = _cap(session, gesture, [shown[moments[0], camera] for camera in cameras], person)
-        for moment in held:
-            for camera in cameras:
-                frame, arm = shown[moment, camera], arms.get(moment)
-                views.append(_view_score(session, gesture, frame, arm, rooms[camera][0], cap, person, spent))
-        fewer = _with_fewer_views(session, gesture, held, moments, following, seen, shown)
-        scores.append(_gesture_score(session, gesture, held, arms, following, moments, views, fewer, arm_ms))
-    return views, scores
+def score(pixels: GesturePixels) -> tuple[list[ViewScore], GestureScore]:
+    """Both methods over the hold of one gesture."""
+    arms, cap = _arms_of(pixels), _cap(pixels)
+    views = [
+        _view_score(pixels, pixels.frames[moment, camera], arms.get(moment), cap)
+        for moment in pixels.held
+        for camera in range(len(pixels.seen))
+    ]
+    with jax.enable_x64(True):
+        fewer = _with_fewer_views(pixels)
+    return views, _gesture_score(pixels, arms, views, fewer)
 
 
-def _with_fewer_views(session, gesture, held, moments, following, seen, shown) -> tuple[float, float]:
-    """Direction of the hold, degrees off, from the two and from the three best usable views alone."""
-    heads = following.tracking.heads
+def _with_fewer_views(pixels: GesturePixels) -> tuple[float, float]:
+    """Direction of the hold, degrees off, from the two and from the three views that see most of the arm alone."""
+    rig, seen, heads = pixels.session.rig, pixels.seen, pixels.following.tracking.heads
     axes: dict[int, list[np.ndarray]] = {2: [], 3: []}
     true_axes = []
-    for moment in held:
-        row, truth = moments.index(moment), _joints(session, gesture, moment)
-        usable = _usable(shown, gesture, moment, len(seen))
+    for moment in pixels.held:
+        row, truth = pixels.moments.index(moment), pixels.joints(moment)
+        usable = _usable(pixels, moment)
         off = np.linalg.norm(heads.positions[row] - truth["head"], axis=1)
         who = int(np.where(heads.present[row], off, np.inf).argmin()) if heads.present[row].any() else -1
         if len(usable) < 3 or who < 0 or off[who] > 0.3:
             continue
         head = heads.positions[row, who]
-        pixels = np.asarray(session.rig.project(head))
-        sightings = following.sightings[row, who]
+        head_px = np.asarray(rig.project(head))
+        sightings = pixels.following.sightings[row, who]
         found = {}
         for count in axes:
             crops = [
                 seen[c].crop(sightings[c]) if c in usable[:count] and sightings[c] >= 0 else None
                 for c in range(len(seen))
             ]
-            found[count] = find_arm(session.rig, crops, head, pixels)
+            found[count] = find_arm(rig, crops, head, head_px)
         if found[2] is not None and found[3] is not None:
             for count in axes:
                 axes[count].append(found[count].direction)
-            true_axes.append(_forearm(truth, gesture.hand))
+            true_axes.append(_forearm(truth, pixels.gesture.hand))
     if not true_axes:
         return np.nan, np.nan
     return _apart(axes[2], true_axes), _apart(axes[3], true_axes)
 
 
-def _usable(shown, gesture, moment: int, cameras: int) -> list[int]:
+def _usable(pixels: GesturePixels, moment: int) -> list[int]:
     """Cameras that see enough of the forearm from the side, those that see most of it first."""
-    truth = {
-        camera: next(v for v in shown[moment, camera].views if v.person == gesture.person) for camera in range(cameras)
-    }
+    truth = {c: _truth(pixels, pixels.frames[moment, c]) for c in range(len(pixels.seen))}
     usable = [c for c, v in truth.items() if v.forearm_visible >= 0.6 and v.forearm_angle_deg > 45]
     return sorted(usable, key=lambda c: -truth[c].forearm_visible)
+
+
+def _truth(pixels: GesturePixels, frame: SimulatedFrame):
+    return next(view for view in frame.views if view.person == pixels.gesture.person)
 
 
 def _forearm(joints: dict[str, np.ndarray], hand: str) -> np.ndarray:
@@ -167,19 +128,13 @@ def _apart(axes: Sequence[np.ndarray], true_axes: Sequence[np.ndarray]) -> float
     return float(np.degrees(np.arccos(np.clip(_middle(axes) @ _middle(true_axes), -1, 1))))
 
 
-def learnt(session: SimulatedSession, camera: int, person: PersonSettings):
-    """Background and motion threshold of one camera, from the empty room."""
-    images = [session.empty(frame, camera) for frame in range(session.settings.empty_frames)]
-    counts = np.array([motion_between(a, b, person.motion).edges for a, b in pairwise(images)])
-    return learn_background(images, person.background), learn_threshold(counts, person.motion)
-
-
-def _arms_of(following, session, gesture, moments) -> dict[int, PointingArm]:
+def _arms_of(pixels: GesturePixels) -> dict[int, PointingArm]:
     """The arm of the gesture's person at each moment: of the head track nearest to the true head."""
     arms = {}
+    following = pixels.following
     heads = following.tracking.heads
-    for row, moment in enumerate(moments):
-        truth = _joints(session, gesture, moment)
+    for row, moment in enumerate(pixels.moments):
+        truth = pixels.joints(moment)
         best = None
         for (at, person), arm in following.arms.items():
             if at == row and arm is not None:
@@ -191,39 +146,38 @@ def _arms_of(following, session, gesture, moments) -> dict[int, PointingArm]:
     return arms
 
 
-def _joints(session, gesture, moment) -> dict[str, np.ndarray]:
-    time_s = session.time_of(moment)
-    actor = next(a for a in session.present(time_s) if a.person.number == gesture.person)
-    return actor.joints(time_s)
-
-
-def _cap(session, gesture, frames, person: PersonSettings) -> MarkerModel | None:
+def _cap(pixels: GesturePixels) -> MarkerModel | None:
     """The colour of the cap, learnt before the hold from clicks as a user would make them, with the thesis's gates."""
-    who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
-    if who.cap is None:
+    if _who(pixels).cap is None:
         return None
-    return taught(frames, gesture, replace(person, marker=replace(person.marker, gates="fixed")))
+    frames = [pixels.frames[pixels.moments[0], camera] for camera in range(len(pixels.seen))]
+    marker = replace(pixels.person.marker, gates="fixed")
+    return taught(frames, pixels.gesture, replace(pixels.person, marker=marker))
 
 
-def _view_score(session, gesture, frame, arm, room, cap, person, spent) -> ViewScore:
-    truth = next(v for v in frame.views if v.person == gesture.person)
+def _who(pixels: GesturePixels):
+    return next(a.person for a in pixels.session.play.actors if a.person.number == pixels.gesture.person)
+
+
+def _view_score(
+    pixels: GesturePixels, frame: SimulatedFrame, arm: PointingArm | None, cap: MarkerModel | None
+) -> ViewScore:
+    gesture, truth, labels = pixels.gesture, _truth(pixels, frame), frame.labels
     parts = np.array(ARM[gesture.hand]) + PARTS_A_PERSON * gesture.person
-    labels = frame.labels
     own = None if arm is None else arm.views[frame.camera]
     region = None
     if own is not None and own.reason == ArmReason.FOUND:
         region = _polygon(own.strip, own.tip, labels.shape)
-    found = silhouettes(foreground(frame.image, room, person.background), person.silhouette)
-    forearm = finger = None
-    if found:
-        forearm = _mask_of(thesis_forearm(frame.image, found[0], person.thesis), labels.shape)
-        if cap is not None:
-            finger = _mask_of(thesis_finger(frame.image, found[0], cap, person.thesis), labels.shape)
+    person, found = pixels.largest[frame.frame, frame.camera], pixels.forearms[frame.frame, frame.camera]
+    forearm = None if found is None else _mask_of(found, labels.shape)
+    finger = None
+    if person is not None and cap is not None:
+        finger = _mask_of(thesis_finger(frame.image, person, cap, pixels.person.thesis), labels.shape)
     return ViewScore(
-        session.seed, gesture.number, frame.frame, frame.camera, truth.forearm_visible, truth.forearm_angle_deg,
+        pixels.session.seed, gesture.number, frame.frame, frame.camera, truth.forearm_visible, truth.forearm_angle_deg,
         truth.finger_visible, _judged(region, labels, parts), "no_arm" if own is None else own.reason.name.lower(),
         _judged(forearm, labels, parts), "no_cap" if cap is None else _judged_finger(finger, labels, parts[2:]),
-        float(spent[frame.camera]),
+        float(pixels.watch_ms[frame.camera]),
     )  # fmt: skip
 
 
@@ -267,15 +221,16 @@ def _mask_of(region, shape) -> np.ndarray | None:
     return mask
 
 
-def _gesture_score(session, gesture, held, arms, following, moments, views, fewer, arm_ms) -> GestureScore:
-    who = next(a.person for a in session.play.actors if a.person.number == gesture.person)
-    own = [v for v in views if v.gesture == gesture.number and v.seed == session.seed]
-    usable = [sum(v.visible >= 0.6 and v.angle_deg > 45 for v in own if v.frame == moment) for moment in held]
+def _gesture_score(
+    pixels: GesturePixels, arms: dict[int, PointingArm], views: list[ViewScore], fewer: tuple[float, float]
+) -> GestureScore:
+    gesture, who = pixels.gesture, _who(pixels)
+    usable = [sum(v.visible >= 0.6 and v.angle_deg > 45 for v in views if v.frame == m) for m in pixels.held]
     axes, true_axes, tips, heads = [], [], [], []
-    tracked = following.tracking.heads
-    for moment in held:
-        truth = _joints(session, gesture, moment)
-        row = moments.index(moment)
+    tracked = pixels.following.tracking.heads
+    for moment in pixels.held:
+        truth = pixels.joints(moment)
+        row = pixels.moments.index(moment)
         places = tracked.positions[row][tracked.present[row]]
         if len(places):
             heads.append(float(np.linalg.norm(places - truth["head"], axis=1).min()))
@@ -285,9 +240,9 @@ def _gesture_score(session, gesture, held, arms, following, moments, views, fewe
             tips.append(float(np.linalg.norm(arms[moment].tip - truth[f"{gesture.hand}_tip"])))
     direction = _apart(axes, true_axes) if axes else np.nan
     return GestureScore(
-        session.seed, gesture.number, gesture.person, gesture.law, who.sleeve, who.clothes_like_skin, who.stature_m,
-        who.tone, int(np.median(usable)), len(held), len(axes), direction, fewer[0], fewer[1],
-        float(np.median(tips)) if tips else np.nan, tuple(heads), arm_ms,
+        pixels.session.seed, gesture.number, gesture.person, gesture.law, who.sleeve, who.clothes_like_skin,
+        who.stature_m, who.tone, int(np.median(usable)), len(pixels.held), len(axes), direction, fewer[0], fewer[1],
+        float(np.median(tips)) if tips else np.nan, tuple(heads), pixels.arm_ms,
     )  # fmt: skip
 
 
@@ -295,8 +250,3 @@ def _middle(directions: Sequence[np.ndarray]) -> np.ndarray:
     """Median direction of a hold."""
     middle = np.median(np.array(directions), axis=0)
     return middle / np.linalg.norm(middle)
-
-
-def as_rows(scores: Sequence[ViewScore] | Sequence[GestureScore]) -> list[dict]:
-    """For JSON."""
-    return [asdict(score) for score in scores]

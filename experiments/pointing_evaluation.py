@@ -7,22 +7,24 @@ of other sessions. Sessions of seeds from 10,000 on are for the final run alone;
 
     python experiments/pointing_evaluation.py --seeds 40 52 --gestures 4 --out pointing
 
-What pixels gave is kept in the folder of --out, so that a run that was cut short goes on where it stopped, and answers
-can be drawn anew without pixels. --bias FILE also writes the model that is fitted on all these people.
+What pixels gave is kept in the folder of --out, so that a run that was cut short goes on where it stopped, answers can
+be drawn anew without pixels, and `person_evaluation.py` with the same folder renders nothing anew. --bias FILE also
+writes the model that is fitted on all these people.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
+import sys
 from itertools import pairwise
 from pathlib import Path
 
 import jax
 import numpy as np
 
-from person_evaluation import settings_of
+from jaxpoint.errors import JaxpointError
+from scored_sessions import scored_sessions
 
 FOLDS = 5  # of sessions: the people of one are answered with the bias of the others
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)  # of probability
@@ -34,17 +36,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs=2, type=int, default=(40, 42), metavar=("FIRST", "END"))
     parser.add_argument("--gestures", type=int, default=4, help="of one session, each by another person")
+    parser.add_argument("--every", type=int, default=2, help="which frames of a hold are looked at: every so many")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("pointing"))
     parser.add_argument("--bias", type=Path, default=None, help="where to write the bias of all these people")
     args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
-    jobs = [(seed, args.gestures, args.out / f"seed_{seed}.json") for seed in range(*args.seeds)]
-    left = [job for job in jobs if not job[-1].exists()]
-    with multiprocessing.get_context("spawn").Pool(args.workers) as pool:
-        for done, seed in enumerate(pool.imap_unordered(_keep, left), start=1):
-            print(f"session {seed} measured, {done} of {len(left)}", flush=True)
-    sessions = [json.loads(path.read_text()) for *_, path in jobs]
+    kept = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out)
+    sessions = [session | {"gestures": session["pointing"]} for session in kept]
     with jax.enable_x64(True):
         rows = answered(sessions)
         if args.bias is not None:
@@ -54,19 +52,8 @@ def main() -> None:
             write_bias(args.bias, fitted(sessions))
     (args.out / "answers.json").write_text(json.dumps(rows))
     table = summary(rows)
-    (args.out / "evaluation.md").write_text(table)
+    (args.out / "pointing.md").write_text(table)
     print(table)
-
-
-def _keep(job: tuple[int, int, Path]) -> int:
-    from pointing_scores import kept_session, quiet
-
-    seed, gestures, path = job
-    quiet()
-    beside = path.with_suffix(".part")
-    beside.write_text(json.dumps(kept_session(settings_of(gestures), seed)))
-    beside.rename(path)
-    return seed
 
 
 def answered(sessions: list[dict]) -> list[dict]:
@@ -139,4 +126,8 @@ def _median(values: list[float]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except JaxpointError as error:
+        sys.stderr.write(f"pointing_evaluation: {error}\n")
+        sys.exit(error.exit_code)

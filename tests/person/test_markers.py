@@ -18,6 +18,7 @@ from jaxpoint.detect.marker import MarkerReason
 from jaxpoint.detect.person import FrameReason
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.person import markers as watching
+from jaxpoint.person.marker_pictures import _around
 from jaxpoint.person.marker_tips import TipReason, marker_tips
 from jaxpoint.person.markers import CameraMarkers, load_markers, save_markers
 
@@ -136,6 +137,10 @@ def test_the_tip_is_found_in_the_room_and_every_line_has_its_reason(session, sam
             assert np.hypot(*(places - [float(line["tip_x"]), float(line["tip_y"])]).T).min() < 1.5
         else:
             assert (own == MARKER).sum() < 12
+    page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
+    assert "Moments without a tip in the room: 1 no view." in page
+    assert page.count("<svg") == 3
+    assert page.count("<img") == 4
     # What was kept is used: the videos are not looked through again.
     monkeypatch.setattr(watching, "look_for_marker", None)
     assert main(command(folder, samples, tmp_path / "again")) == 0
@@ -151,6 +156,7 @@ def test_without_a_calibration_each_view_is_looked_at_alone(session, samples, tm
     assert main(command(folder, tmp_path / "few.csv", tmp_path / "run")) == 0
     assert "No tips in the room: these need a calibration" in capsys.readouterr().out
     assert not (tmp_path / "run/markers.csv").exists()
+    assert "<img" in (tmp_path / "run/report.html").read_text(encoding="utf-8")
     assert [row["counts"] for row in rows(tmp_path / "run/detections.csv")] == [""] * len(DIRECTIONS)
 
 
@@ -246,3 +252,12 @@ def test_what_is_kept_is_read_back_and_another_version_is_not(tmp_path):
     (tmp_path / "kept.npz").write_bytes(b"no longer")
     with pytest.raises(watching.FileFormatError, match="delete it"):
         load_markers(tmp_path / "kept.npz")
+
+
+@pytest.mark.parametrize("middle", [(320.0, 200.0), (3.0, 2.0), (638.0, 479.0)])
+def test_the_part_around_a_marker_is_cut_where_its_corner_says(middle):
+    image = np.stack([*np.mgrid[:480, :640], np.zeros((480, 640))], axis=-1).astype(np.uint16)
+    part, corner = _around(image, np.array(middle))
+    np.testing.assert_array_equal(part[0, 0, 1::-1], corner)
+    x, y = np.array(middle, int) - corner
+    np.testing.assert_array_equal(part[y, x, 1::-1], np.array(middle, int))

@@ -61,7 +61,7 @@ class DetectMarker(SeededOptions):
         )
 
     def run(self, console: Console) -> Outcome:
-        """Write the tables into `--out`."""
+        """Write tables and a page of pictures into `--out`."""
         hush_opencv(self.verbose)
         from jaxpoint.io.marker_samples import read_marker_samples
         from jaxpoint.io.session import open_session
@@ -97,9 +97,13 @@ def _write(
     markers: tuple[CameraMarkers, ...],
     tips: list[MarkerTip] | None,
 ) -> dict[str, Any]:
+    import numpy as np
+
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.table import write_table
+    from jaxpoint.person.marker_pictures import marker_sheets, track_of
     from jaxpoint.person.marker_tables import in_room, seen
+    from jaxpoint.report.marker import write_marker_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = {"run": str(out), **_figures(session, model, markers, tips)}
@@ -112,6 +116,15 @@ def _write(
         write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
         if tips is not None:
             write_table(folder / f"markers.{command.format}", in_room(session, tips))
+        write_marker_report(
+            folder / "report.html",
+            figures,
+            None if tips is None else track_of(session, tips),
+            None if session.rig is None else np.asarray(session.rig.positions),
+            marker_sheets(session, markers, tips),
+            made,
+            settings,
+        )
     return figures
 
 
@@ -149,7 +162,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     else:
         others = f"; others: {_counts(room['reasons'])}" if room["reasons"] else ""
         lines += (f"Tips in the room: {room['tips']} of {figures['moments']} moments{others}.",)
-    return (*lines, *figures["notes"], f"Tables: {out}")
+    return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
 
 
 def _counts(reasons: dict[str, int]) -> str:

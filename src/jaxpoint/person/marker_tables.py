@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxpoint.detect.marker import MarkerReason
 from jaxpoint.detect.person import FrameReason
@@ -13,6 +14,7 @@ from jaxpoint.io.session import Session
 from jaxpoint.person.marker_tips import MarkerTip, TipReason
 from jaxpoint.person.markers import CameraMarkers
 
+Pixel = Float[np.ndarray, "2"]  # x, y
 SEEN_COLUMNS = (
     "frame", "time_s", "camera", "reason", "area_px", "x", "y", "tip_x", "tip_y", "base_x", "base_y", "counts",
 )  # fmt: skip
@@ -33,8 +35,9 @@ def seen(session: Session, markers: Sequence[CameraMarkers], tips: Sequence[Mark
         tip = None if tips is None else tips[moment]
         for camera, (name, own) in enumerate(zip(session.names, markers)):
             line = {"frame": frame, "time_s": time, "camera": name, "reason": why(own, moment)}
-            if len(own.of(moment)):
-                line.update(_place(own, own.of(moment)[0], camera, tip))
+            ends = ends_of(own, moment, camera, tip)
+            if ends is not None:
+                line.update(_columns(own, camera, ends, tip))
             lines.append(line)
     return {column: [line.get(column) for line in lines] for column in SEEN_COLUMNS}
 
@@ -64,11 +67,18 @@ def why(own: CameraMarkers, moment: int) -> str:
     return MarkerReason(int(own.markers[moment])).name.lower()
 
 
-def _place(own: CameraMarkers, largest: int, camera: int, tip: MarkerTip | None) -> dict[str, Any]:
-    place = largest if tip is None else tip.members.get(camera, largest)
+def ends_of(own: CameraMarkers, moment: int, camera: int, tip: MarkerTip | None) -> tuple[int, Pixel, Pixel] | None:
+    """Which place of a camera is the marker at a moment, its tip and its base, px; None where it shows none."""
+    places = own.of(moment)
+    if not len(places):
+        return None
+    place = places[0] if tip is None else tip.members.get(camera, places[0])
     far, near = own.tip[place], own.base[place]
-    if tip is not None and camera in tip.flipped:
-        far, near = near, far
+    return (place, near, far) if tip is not None and camera in tip.flipped else (place, far, near)
+
+
+def _columns(own: CameraMarkers, camera: int, ends: tuple[int, Pixel, Pixel], tip: MarkerTip | None) -> dict[str, Any]:
+    place, far, near = ends
     return {
         "area_px": int(own.area[place]),
         "x": float(own.centroid[place, 0]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float, UInt8
 
 from jaxpoint.detect.arm import Pixel
 from jaxpoint.detect.person import FrameReason
@@ -24,7 +24,7 @@ def sheets(
 ) -> list[tuple[str, UInt8[np.ndarray, "H W 3"]]]:
     """A caption and a sheet of all cameras (red, green, blue) for a few telling moments."""
     chosen = telling_moments(views, following)
-    images = [_images(session, camera, chosen) for camera in range(len(session.names))]
+    images = [images_of(session, camera, chosen) for camera in range(len(session.names))]
     pictures = []
     for place, moment in enumerate(chosen):
         cells = [
@@ -40,11 +40,16 @@ def sheets(
 
 def telling_moments(views: Sequence[CameraViews], following: Following | None, count: int = MOMENTS) -> list[int]:
     """Moments with an arm stretched out far, well apart from each other; without arms, those seen by most cameras."""
-    moments = len(views[0].reasons)
     worth = np.sum([view.reasons == FrameReason.PERSON for view in views], axis=0).astype(float)
     if following is not None:
         for (moment, _), arm in following.arms.items():
             worth[moment] += 0.0 if arm is None else 10.0 * arm.stretch
+    return well_apart(worth, count)
+
+
+def well_apart(worth: Float[np.ndarray, " F"], count: int = MOMENTS) -> list[int]:
+    """The moments that are worth most, and anything, well apart from each other; in their order."""
+    moments = len(worth)
     chosen: list[int] = []
     apart = max(1, moments // (2 * count))
     for moment in np.argsort(-worth, kind="stable"):
@@ -55,7 +60,8 @@ def telling_moments(views: Sequence[CameraViews], following: Following | None, c
     return sorted(chosen)
 
 
-def _images(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
+def images_of(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
+    """One camera's images of some moments; None where it has none."""
     index = session.frame_index[moments, camera]
     found = dict(open_frames(session.videos[camera]).stream(np.unique(index[index >= 0])))
     return [found.get(int(frame)) for frame in index]

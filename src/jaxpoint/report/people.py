@@ -12,7 +12,7 @@ from markupsafe import Markup
 from jaxpoint.io.files import StrPath
 from jaxpoint.report import figures_track, tables
 from jaxpoint.report.html import Sheets, encoded, render, write_page
-from jaxpoint.report.style import to_svg
+from jaxpoint.report.style import style, to_svg
 from jaxpoint.tracking.result import HeadTracks
 
 
@@ -41,11 +41,12 @@ def write_people_report(
     """
     drawn = {}
     if heads is not None and centers is not None and len(heads.people):
-        drawn = {
-            "plan": Markup(to_svg(figures_track.floor_plan(heads, centers))),
-            "space": Markup(to_svg(figures_track.in_space(heads, centers))),
-            "heights": Markup(to_svg(figures_track.heights(heads))),
-        }
+        with style():
+            drawn = {
+                "plan": Markup(to_svg(figures_track.floor_plan(heads, centers))),
+                "space": Markup(to_svg(figures_track.in_space(heads, centers))),
+                "heights": Markup(to_svg(figures_track.heights(heads))),
+            }
     sections = [("cameras", "Cameras"), *([("tracks", "Head tracks")] if drawn else []), ("pictures", "Pictures")]
     page = render(
         "people.html.j2",

@@ -1,0 +1,112 @@
+"""Simulated sessions with every score of their pixels, rendered once: one file a session, in a folder of the caller.
+
+Used by `person_evaluation.py` and `pointing_evaluation.py`: what one of them has rendered the other only reads.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from jaxpoint.config.people import SleeveShares
+from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.io.files import replacing
+
+LAYOUT = 2  # of the files; higher whenever they hold something else
+PEOPLE_A_SESSION = 8  # as many as the masks of a session can tell apart
+SHOWING = SleeveShares(none=0.1, short=0.45, elbow=0.2, rolled=0.25, long=0.0)
+
+
+def scored_sessions(seeds: range, gestures: int, every: int, workers: int, folder: Path) -> list[dict]:
+    """All sessions, those that the folder does not hold yet rendered and scored.
+
+    Args:
+        seeds: one session each.
+        gestures: of one session, each by another person.
+        every: which frames of a hold are looked at: every so many.
+        workers: processes, one core each.
+        folder: of the files `seed_N.json`.
+
+    Raises:
+        FileFormatError: a file there is of another layout.
+        UsageError: more gestures than labels, or a file there was made with other gestures or frames.
+    """
+    if not 1 <= gestures <= PEOPLE_A_SESSION:
+        raise UsageError(f"--gestures is {gestures}; masks tell 1 to {PEOPLE_A_SESSION} people apart.")
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {seed: folder / f"seed_{seed}.json" for seed in seeds}
+    kept = {seed: read_session(path, gestures, every) for seed, path in paths.items() if path.exists()}
+    left = [(seed, gestures, every, path) for seed, path in paths.items() if seed not in kept]
+    if left:
+        with multiprocessing.get_context("spawn").Pool(workers) as pool:
+            for done, seed in enumerate(pool.imap_unordered(_keep, left), start=1):
+                kept[seed] = read_session(paths[seed], gestures, every)
+                print(f"session {seed} scored, {done} of {len(left)}", flush=True)
+    return [kept[seed] for seed in seeds]
+
+
+def read_session(path: Path, gestures: int, every: int) -> dict:
+    """A kept session.
+
+    Raises:
+        FileFormatError: it is of another layout.
+        UsageError: it was made with other gestures or frames.
+    """
+    try:
+        kept = json.loads(path.read_text(encoding="utf-8"))
+        layout = kept.get("layout", 1)
+    except (ValueError, AttributeError):
+        raise FileFormatError(f"'{path}' is no kept session; delete it, or name another folder with --out.") from None
+    if layout != LAYOUT:
+        raise FileFormatError(
+            f"'{path}' has layout {layout}, and layout {LAYOUT} is read; delete it, or name another folder with --out."
+        )
+    if (kept["asked"], kept["every"]) != (gestures, every):
+        raise UsageError(
+            f"'{path}' holds --gestures {kept['asked']} --every {kept['every']}, and --gestures {gestures} --every "
+            f"{every} are asked for; ask for the same, or name another folder with --out."
+        )
+    return kept
+
+
+def settings_of(gestures: int) -> SimulationSettings:
+    """Single gestures, each by another person, whose sleeves show the forearm."""
+    settings = SimulationSettings()
+    looks = replace(settings.people.looks, sleeves=SHOWING)
+    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures, looks=looks)
+    return replace(settings, people=people)
+
+
+def score_session(settings: SimulationSettings, seed: int, every: int) -> dict:
+    """All scores of one session, for JSON: of views, of gestures, and what pointing needs to answer them."""
+    import person_scores
+    from jaxpoint.config.person import PersonSettings
+    from jaxpoint.simulate.session import simulate_session
+    from pointing_scores import kept_gesture
+    from session_pixels import gestures_of
+
+    session = simulate_session(settings, seed)
+    views, gestures, pointing = [], [], []
+    for pixels in gestures_of(session, PersonSettings(), every):
+        own, gesture = person_scores.score(pixels)
+        views += [asdict(view) for view in own]
+        gestures.append(asdict(gesture))
+        pointing.append(asdict(kept_gesture(pixels)))
+    things = [{"name": t.name, "kind": t.kind, "corners": t.corners.tolist()} for t in session.objects]
+    room = {"objects": things, "room": session.scene.size.tolist()}
+    made = {"layout": LAYOUT, "seed": seed, "asked": settings.people.gestures, "every": every}
+    return made | {"views": views, "gestures": gestures, "pointing": pointing} | room
+
+
+def _keep(job: tuple[int, int, int, Path]) -> int:
+    import cv2
+
+    seed, gestures, every, path = job
+    cv2.setNumThreads(1)
+    scores = score_session(settings_of(gestures), seed, every)
+    with replacing(path) as file:
+        file.write(json.dumps(scores).encode())
+    return seed
