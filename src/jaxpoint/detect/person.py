@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.detect.arm import Crop, Pixel
+from jaxpoint.detect.clothes import shirt_like_skin
 from jaxpoint.detect.colour import Image, is_grey
 from jaxpoint.detect.head import Head, find_head
 from jaxpoint.detect.motion import motion_image, motion_of
@@ -143,7 +144,7 @@ class PersonWatch:
         head = find_head(silhouette, self._focal, self._settings.head)
         gap = int(GAP * head.height_px) if head.found else 0
         model = None if grey else self._model
-        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, model, self._room, gap, self._gains))
+        return Sighting(silhouette, head, cut_crop(image, mask, silhouette, model, self._room, gap, self._gains, head))
 
 
 def cut_crop(
@@ -154,6 +155,7 @@ def cut_crop(
     room: Image | None = None,
     gap_px: int = 0,
     gains: Float[np.ndarray, "3"] | None = None,
+    head: Head | None = None,
 ) -> Crop:
     """The surroundings of a silhouette: which pixels are foreground, and which of them skin.
 
@@ -165,6 +167,7 @@ def cut_crop(
         room: the image without people, by which outlines are sharpened; None where it is not known.
         gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
         gains: of blue, green, red, that divide out the room's cast of colour before skin is told; None leaves it.
+        head: by whose face a shirt of the colour of skin is told from it; None takes the model's word.
     """
     x, y, width, height = silhouette.box
     reach = int(MARGIN * height)
@@ -182,8 +185,12 @@ def cut_crop(
     labels = cv2.threshold(own, 0, int(Pixel.PERSON), cv2.THRESH_BINARY)[1]
     if model is not None:
         colours = part if gains is None else white_balance(part, gains)
-        skin = skin_mask(np.ascontiguousarray(colours), model).view(np.uint8) * np.uint8(Pixel.SKIN)
-        labels = np.where(own > 0, np.maximum(labels, skin), np.uint8(Pixel.NOTHING))
+        skin = skin_mask(np.ascontiguousarray(colours), model) & (own > 0)
+        if head is not None and head.found:
+            place = (head.x - left - x, head.y - top - y, head.height_px)
+            shirt = shirt_like_skin(part, own > 0, skin, place)
+            skin = skin if shirt is None else skin & ~shirt
+        labels[skin] = Pixel.SKIN
     return Crop(labels, (left + x, top + y), silhouette.image_size)
 
 
