@@ -104,7 +104,17 @@ def _reliability(rows: list[dict]) -> list[str]:
             lines.append(
                 f"| {low:.2f} to {high:.2f} | {own.sum()} | {given[own].mean():.2f} | {right[own].mean():.2f} |"
             )
-    return [*lines, "", f"Expected calibration error: {error:.3f}"]
+    by_chance = f"{_error_by_chance(given):.3f}" if len(given) else "–"
+    return [*lines, "", f"Expected calibration error: {error:.3f}; of true probabilities, by chance: {by_chance}"]
+
+
+def _error_by_chance(given: np.ndarray) -> float:
+    """The mean of the expected calibration error if answers were right exactly as often as their probabilities say."""
+    right = np.random.default_rng(0).random((RESAMPLES, len(given))) < given
+    place = np.searchsorted(BINS, given) - 1
+    return float(
+        sum(np.abs((right - given)[:, place == i].sum(axis=1)) for i in range(len(BINS) - 1)).mean() / len(given)
+    )
 
 
 def _share(right: np.ndarray) -> str:
