@@ -28,6 +28,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.commands.console import table
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.detect.arm import SLICES, Strip
+from jaxpoint.geometry.angles import turned
 from jaxpoint.person.arms import ArmReason, ArmView, PointingArm, limb_span
 from jaxpoint.person.following import Following
 from jaxpoint.person.promise import strips_axis
@@ -42,6 +43,7 @@ from jaxpoint.tracking.result import HeadTracks, Status, Tracking
 
 HEAD_M = 1.6  # above the floor
 PIXEL_NOISE = 0.5
+BIAS = np.deg2rad([5.0, 9.0])  # of the forearm of who points approximately, to the left and up
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,7 @@ class Given:
     scene: Scene
     camera_covariance: np.ndarray
     correction: Correction
+    target: str
 
 
 def main(options: GestureTime) -> None:
@@ -116,19 +119,20 @@ def drawn(options: GestureTime) -> Given:
     objects = Objects.of([Thing(thing.name, Rectangle(thing.corners), thing.kind) for thing in room.objects])
     centres = np.array([np.mean(thing.corners, axis=0) for thing in room.objects])
     head = np.array([room.size[0] / 2, room.size[1] / 2, HEAD_M])
-    tip = head + [0.55, -0.25, -0.2]
-    towards = centres[rngs[2].integers(len(centres))] - tip
-    ahead = towards / np.linalg.norm(towards)
+    tip = head + np.array([0.55, -0.25, -0.2])
+    target = int(rngs[2].integers(len(centres)))
+    towards = centres[target] - tip
+    ahead = np.asarray(turned(towards / np.linalg.norm(towards), BIAS))
     arms = {(at, 0): _arm(rig, head, tip, ahead, rngs[2]) for at in range(options.frames)}
     times = np.linspace(0.0, 1.0, options.frames)
     hold = Hold(0, np.arange(options.frames), times, len(rig))
     behaviour = Spread(np.deg2rad(4.0) ** 2 * np.eye(2), 8)
-    bias = Bias(("forearm",), Constant(np.deg2rad([5.0, 9.0])), behaviour, behaviour.scale, behaviour,
+    bias = Bias(("forearm",), Constant(BIAS), behaviour, behaviour.scale, behaviour,
                 Fitted("", 0, 0, 0, None, None))  # fmt: skip
     scene = Scene(objects, centres, Room(np.zeros(3), room.size), True)
     spread = np.tile([*[1e-3] * 6, *[1.0] * 4, *[1e-4] * 5], len(rig))
     following = _following(rig, head, times, arms)
-    return Given(rig, following, hold, scene, np.diag(spread**2), correction_of(bias))
+    return Given(rig, following, hold, scene, np.diag(spread**2), correction_of(bias), room.objects[target].name)
 
 
 def _arm(rig: CameraRig, head: np.ndarray, tip: np.ndarray, ahead: np.ndarray, rng: np.random.Generator) -> PointingArm:

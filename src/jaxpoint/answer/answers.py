@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 
 import jax
 import numpy as np
@@ -151,7 +152,7 @@ def _measured(ways: Sequence[Hypothesis], scene: Scene) -> list[tuple[Hits, Near
     rays = jax.tree.map(lambda *leaves: np.stack(leaves), *(way.lines.ray for way in ways))
     found = over_lines(partial(_met, scene.objects.shapes, len(scene.objects), scene.room), rays)
     found = jax.tree.map(np.asarray, found)
-    return [jax.tree.map(lambda leaf: leaf[i], found) for i in range(len(ways))]
+    return [jax.tree.map(itemgetter(i), found) for i in range(len(ways))]
 
 
 @partial(jit, static_argnames="count")
@@ -179,7 +180,7 @@ def _answer(
     )
     inside = bool(end.inside[i])
     surface = Place(SURFACES[int(end.surface[i])], float(end.distance[i]), np.asarray(end.point[i])) if inside else None
-    origin, name = np.asarray(way.lines.ray.origin[i]), names[order[0]]
+    origin, name = np.asarray(way.lines.ray.origin)[i], names[order[0]]
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     return Answer(
         number=i + 1,
@@ -190,10 +191,10 @@ def _answer(
         frame=int(given.frames[i]),
         views=hold.views,
         line=way.kind,
-        joints={name: np.asarray(getattr(given.held.joints, name)[i]) for name in JOINTS},
+        joints={name: np.asarray(getattr(given.held.joints, name))[i] for name in JOINTS},
         origin=origin,
-        direction=np.asarray(way.lines.ray.direction[i]),
-        sigma_deg=_sigma_deg(np.asarray(way.lines.direction_covariance[i])),
+        direction=np.asarray(way.lines.ray.direction)[i],
+        sigma_deg=_sigma_deg(np.asarray(way.lines.covariance)[i, 3:, 3:]),
         calibration_sigma_deg=_sigma_deg(way.by_calibration[i]) if given.known_errors else None,
         hits=hits,
         surface=surface,

@@ -21,8 +21,9 @@ def held_mean(
 
     All numbers of a frame share one weight, so they still belong together; half of the frames may be wrong (Vardi and
     Zhang 2000). Of an arm that is held, the error of measuring is nearly the same in all frames: the same outline is
-    seen by the same cameras. It is not divided by their number; of unlike frames the harmonic mean is taken. What changes from frame to frame, tremor among it, is
-    divided by the number of independent frames that its correlation leaves.
+    seen by the same cameras. It is not divided by their number; of unlike frames the harmonic mean is taken. What
+    changes from frame to frame, tremor among it, is divided by the number of independent frames that its correlation
+    leaves.
 
     Args:
         values: of every frame; padded ones never matter.

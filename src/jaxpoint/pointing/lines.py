@@ -35,9 +35,10 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
         else:
             size = 1 << max(count - 1, 0).bit_length()
             found = function(*_rows(flat, 0, size))
-            if (count,) == batch == (size,):
+            if batch == (size,):
                 return found
-            found = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[:count]), found)
+            some = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
+            return jax.tree.map(jnp.asarray, _reshaped(some, 1, batch))
     return _reshaped(found, 1, batch)
 
 
