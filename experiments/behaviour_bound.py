@@ -4,7 +4,8 @@ The simulated law of behaviour (`config.people.ApproximateSettings`) gives each 
 own, of which the finger shares an unknown part. Whoever knows that law, but not the person, and sees the forearm
 without error and the finger with some, can do no better than the middle of all pointings that look alike. Angles are
 small, so azimuth and elevation are taken as plane. What is measured is no finger but the line from wrist to fingertip:
-the index finger stands beside the hand's axis, to a side that the unknown turn of the palm decides. No estimator of jaxpoint is used.
+the index finger stands beside the hand's axis, to a side that the unknown turn of the palm decides. No estimator of
+jaxpoint is used.
 
     python experiments/behaviour_bound.py
 """
