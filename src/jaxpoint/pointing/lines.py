@@ -44,7 +44,7 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
 
 def _reshaped(tree: Any, axes: int, shape: tuple[int, ...]) -> Any:
     """Other leading axes in the place of the first `axes`."""
-    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[axes:]), tree)
+    return jax.tree.map(lambda leaf: leaf.reshape((*shape, *leaf.shape[axes:])), tree)
 
 
 def _rows(tree: Any, start: int, size: int) -> Any:
