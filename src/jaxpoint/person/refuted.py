@@ -23,7 +23,9 @@ def looks_past(
         sizes: of the images, px, width and height.
     """
     whole = ((places >= 0) & (places <= sizes[:, None] - 1)).all(axis=(1, 2))
-    return np.array([whole[c] and crop is not None and _on_person(crop, places[c]) < THROUGH for c, crop in enumerate(crops)])
+    return np.array(
+        [whole[c] and crop is not None and _on_person(crop, places[c]) < THROUGH for c, crop in enumerate(crops)]
+    )
 
 
 def _on_person(crop: Crop, places: Float[np.ndarray, "S 2"]) -> float:
