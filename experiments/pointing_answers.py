@@ -16,15 +16,19 @@ from jaxpoint.pointing.bias.fit import fit
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.joints import Joints, is_left
-from jaxpoint.pointing.line import directions
+from jaxpoint.pointing.line import KINDS, directions
 from jaxpoint.pointing.objects import Objects, Rectangle, Thing
 from jaxpoint.pointing.room import Room
 
+LINES = KINDS[:2]  # forearm and finger
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 def fitted(sessions: list[dict]) -> Bias:
-    """The constant bias of the forearm's line of people who point approximately; left arms are mirrored."""
+    """The bias of the forearm's line, with the finger's beside it, of people who point approximately.
+
+    Left arms are mirrored. A finger that shares a part of the forearm's error tells of it.
+    """
     people, origins, lines, targets = [], [], [], []
     for session in sessions:
         for gesture in session["gestures"]:
@@ -33,12 +37,12 @@ def fitted(sessions: list[dict]) -> Bias:
                 sign = MIRROR if bool(is_left(joints)) else np.ones(3)
                 people.append(gesture["person"])
                 origins.append(sign * np.asarray(joints.tip))
-                lines.append(sign * np.asarray(directions(joints)[:1]))
+                lines.append(sign * np.asarray(directions(joints)[: len(LINES)]))
                 targets.append(sign * np.array(gesture["target_m"]))
     names = tuple(str(i) for i in range(len(people)))
-    origins, lines, targets = np.array(origins)[:, None], np.array(lines), np.array(targets)
-    given = Pointings(names, tuple(people), ("forearm",), origins, lines, targets)
-    return fit("constant", given, source="simulated people who point approximately, from pixels")
+    origins, lines, targets = np.repeat(np.array(origins)[:, None], len(LINES), 1), np.array(lines), np.array(targets)
+    given = Pointings(names, tuple(people), LINES, origins, lines, targets)
+    return fit("blend", given, source="simulated people who point approximately, from pixels")
 
 
 def answers_of(session: dict, model: Bias) -> list[dict]:

@@ -8,8 +8,9 @@ of other sessions. Sessions of seeds from 10,000 on are for the final run alone;
     python experiments/pointing_evaluation.py --seeds 40 52 --gestures 4 --out pointing
 
 What pixels gave is kept in the folder of --out, so that a run that was cut short goes on where it stopped, answers can
-be drawn anew without pixels, and `person_evaluation.py` with the same folder renders nothing anew. --bias FILE also
-writes the model that is fitted on all these people.
+be drawn anew without pixels, and `person_evaluation.py` with the same folder renders nothing anew. `reliability.png`
+shows how often answers are right beside how often they say so; the expected calibration error is told beside the one
+that true probabilities have by chance. --bias FILE also writes the model that is fitted on all these people.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ import jax
 import numpy as np
 
 from jaxpoint.errors import JaxpointError
+from reliability_picture import reliability_picture
 from scored_sessions import scored_sessions
 
 FOLDS = 5  # of sessions: the people of one are answered with the bias of the others
@@ -53,6 +55,7 @@ def main() -> None:
     (args.out / "answers.json").write_text(json.dumps(rows))
     table = summary(rows)
     (args.out / "pointing.md").write_text(table)
+    reliability_picture(*_given_and_right(rows), BINS, args.out / "reliability.png")
     print(table)
 
 
@@ -94,8 +97,7 @@ def summary(rows: list[dict]) -> str:
 def _reliability(rows: list[dict]) -> list[str]:
     """Of answers given with a probability, how many are right; and the expected calibration error."""
     lines = ["| probability, with the model | answers | mean probability | right |", "|---|---|---|---|"]
-    given = np.array([row["with the model"]["probability"] for row in rows if row["found"]])
-    right = np.array([row["with the model"]["name"] == row["target"] for row in rows if row["found"]])
+    given, right = _given_and_right(rows)
     error = 0.0
     for low, high in pairwise(BINS):
         own = (given > low) & (given <= high)
@@ -104,7 +106,23 @@ def _reliability(rows: list[dict]) -> list[str]:
             lines.append(
                 f"| {low:.2f} to {high:.2f} | {own.sum()} | {given[own].mean():.2f} | {right[own].mean():.2f} |"
             )
-    return [*lines, "", f"Expected calibration error: {error:.3f}"]
+    by_chance = f"{_error_by_chance(given):.3f}" if len(given) else "–"
+    return [*lines, "", f"Expected calibration error: {error:.3f}; of true probabilities, by chance: {by_chance}"]
+
+
+def _given_and_right(rows: list[dict]) -> tuple[np.ndarray, np.ndarray]:
+    """Of gestures that were found, the answer's probability and whether it is right."""
+    found = [(row["with the model"], row["target"]) for row in rows if row["found"]]
+    given = np.array([answer["probability"] for answer, _ in found], float)
+    return given, np.array([answer["name"] == target for answer, target in found], bool)
+
+
+def _error_by_chance(given: np.ndarray) -> float:
+    """The mean of the expected calibration error if answers were right exactly as often as their probabilities say."""
+    right = np.random.default_rng(0).random((RESAMPLES, len(given))) < given
+    off, place = np.where(right, 1.0, 0.0) - given, np.searchsorted(BINS, given) - 1
+    missed = [np.mean(np.abs(np.sum(off[:, place == i], axis=1))) for i in range(len(BINS) - 1)]
+    return float(np.sum(missed) / len(given))
 
 
 def _share(right: np.ndarray) -> str:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from answer_rig import rig_of_three
-from scipy.stats import binomtest
+from scipy.stats import binom, binomtest
 
 from jaxpoint.answer.thesis import thesis_line
 from jaxpoint.detect.endpoints import Endpoints
 from jaxpoint.detect.region import Region
 from jaxpoint.detect.thesis import ThesisReason, ThesisRegion
-from pointing_evaluation import _reliability, _share, summary
+from pointing_evaluation import _error_by_chance, _reliability, _share, summary
 
 
 def test_shares_have_wilson_intervals():
@@ -35,7 +35,13 @@ def test_a_gesture_that_is_not_found_counts_as_wrong():
 def test_the_expected_calibration_error_is_that_of_a_hand():
     rows = [row("accurate", "book", "book" if i < 6 else "lamp", 0.85) for i in range(10)]
     rows += [row("accurate", "book", "book", 0.99) for _ in range(10)]
-    assert _reliability(rows)[-1] == f"Expected calibration error: {0.5 * 0.25 + 0.5 * 0.01:.3f}"
+    assert _reliability(rows)[-1].startswith(f"Expected calibration error: {0.5 * 0.25 + 0.5 * 0.01:.3f};")
+
+
+def test_the_error_of_true_probabilities_is_that_of_the_binomial():
+    """In one bin it is the binomial's mean absolute deviation; bins of unlike answers add theirs."""
+    deviation = [binom(20, p).expect(lambda k, p=p: abs(k - 20 * p)) for p in (0.6, 0.85)]
+    assert _error_by_chance(np.repeat([0.6, 0.85], 20)) == pytest.approx(sum(deviation) / 40, rel=0.03)
 
 
 def region(tip, base, eccentricity, area) -> ThesisRegion:

@@ -13,13 +13,12 @@ from scipy.stats import multivariate_t
 
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.angles import azimuth_elevation, turned
-from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.bias.bias import corrected
+from jaxpoint.pointing.bias.drawn import drawn
 from jaxpoint.pointing.bias.fit import fit, fit_personal, left_out
 from jaxpoint.pointing.bias.models import Blend, Constant, Personal, Polynomial
 from jaxpoint.pointing.bias.score import errors_deg, score
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
-from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.joints import estimated, is_left
 
 LOSS = np.deg2rad(1.5)
 BENT = Blend(np.array([0.1, -0.2]), np.array([[0.4, -0.3], [0.2, 0.5]]), np.array([True, True]))
@@ -117,21 +116,32 @@ def test_correct_is_differentiable(people, blend):
     assert all(np.abs(leaf).max() > 0 for leaf in (numbers.offset, numbers.shared.offset, numbers.shared.weights))
 
 
-def test_the_covariance_turns_with_the_line(people, blend):
-    """Against drawn lines, for a model that bends them."""
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_drawn_line_knows_that_its_lines_share_joints(side):
+    """Against drawn joints, for a blend of lines that share the wrist; a left arm is the right one in a mirror."""
     draw = np.random.default_rng(1)
-    bias = replace(blend, lines=("forearm",), model=Polynomial(np.array([[0.1, 0.5], [0.1, 0.4]])))
-    direction = people.directions[0, 0]
-    across = np.eye(3) - np.outer(direction, direction)
-    half = 0.003 * np.vstack([draw.normal(size=(3, 6)), across @ draw.normal(size=(3, 6))])
-    line = PointingLine(Ray(np.array([[0.1, 0.2, 1.4]]), direction[None]), (half @ half.T)[None])
-    found = corrected(bias, {"forearm": line})
-    drawn = np.concatenate([line.ray.origin[0], direction]) + draw.normal(size=(20000, 6)) @ half.T
-    moved = np.concatenate([drawn[:, :3], bias.correct(drawn[:, None, 3:])], axis=1)
-    np.testing.assert_allclose(found.ray.direction[0], bias.correct(direction[None]), atol=1e-12)
-    np.testing.assert_allclose(found.covariance[0], np.cov(moved.T), atol=0.05 * np.abs(np.cov(moved.T)).max())
-    with pytest.raises(InsufficientDataError, match="reads the line 'forearm'"):
-        corrected(bias, {"finger": line})
+    kinds, model = ("forearm", "finger"), Blend(np.array([0.1, 0.15]), np.array([[0.4], [0.3]]), np.array([True]))
+    mirror = np.array([1.0, side, 1.0])
+    head, elbow, wrist, tip = (
+        np.array([[0, 0, 1.6], [0.2, -0.25, 1.25], [0.42, -0.18, 1.4], [0.58, -0.12, 1.46]]) * mirror
+    )
+    middle = estimated(head, elbow, wrist, tip)
+    assert bool(is_left(middle)) == (side < 0)
+    half = 0.002 * draw.normal(size=(18, 18))
+    joints = np.asarray(middle.flat) + draw.normal(size=(20000, 18)) @ half.T
+    found = drawn(kinds, model, jax.tree.map(lambda leaf: leaf[None], middle), (half @ half.T)[None])
+
+    def turned_by_hand(flat):
+        own = flat.reshape(-1, 6, 3) * mirror
+        ways = np.stack([own[:, 4] - own[:, 3], own[:, 5] - own[:, 4]], axis=1)
+        ways /= np.linalg.norm(ways, axis=2, keepdims=True)
+        straight = turned(ways[:, 0], -model.turn(azimuth_elevation(ways)))
+        return np.concatenate([own[:, 5] * mirror, np.asarray(straight) * mirror], axis=1)
+
+    moved = turned_by_hand(joints)
+    (exact,) = turned_by_hand(np.asarray(middle.flat)[None])
+    np.testing.assert_allclose(np.concatenate([found.ray.origin[0], found.ray.direction[0]]), exact, atol=1e-12)
+    np.testing.assert_allclose(found.covariance[0], np.cov(moved.T), atol=0.06 * np.abs(np.cov(moved.T)).max())
 
 
 @pytest.mark.parametrize("freedom", [4, 20])

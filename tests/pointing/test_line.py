@@ -128,3 +128,14 @@ def test_the_covariance_of_a_mean_knows_that_tremor_is_correlated():
         assert 0.5 < ratio < 2.0
         _, same, _ = held_mean(0.003 * tremor, zeros + 1e-4 * np.eye(3), np.ones((400, 40), bool))
         np.testing.assert_allclose(same - stated, np.broadcast_to(1e-4 * np.eye(3), same.shape), atol=1e-9)
+
+
+def test_a_frame_that_saw_next_to_nothing_does_not_make_the_others_worthless():
+    rng = np.random.default_rng(4)
+    values, own = 0.003 * rng.normal(size=(1, 9, 3)), np.tile(1e-4 * np.eye(3), (1, 9, 1, 1))
+    _, usual, _ = held_mean(values, own, np.ones((1, 9), bool))
+    blind = own.copy()
+    blind[0, 4] = 1e8 * np.eye(3)
+    _, found, _ = held_mean(values, blind, np.ones((1, 9), bool))
+    assert (np.diagonal(found[0]) < 1.6 * np.diagonal(usual[0])).all()
+    assert (np.diagonal(found[0]) > np.diagonal(usual[0])).all()

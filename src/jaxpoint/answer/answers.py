@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from operator import itemgetter
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.answer.holds import Hold
 from jaxpoint.answer.hypotheses import Hypothesis
 from jaxpoint.answer.lines import HeldJoints
-from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.nearest import nearest
-from jaxpoint.pointing.objects import Objects
+from jaxpoint.compilation import jit
+from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.hits import Hits, intersect
+from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.nearest import Nearest, nearest
+from jaxpoint.pointing.objects import Objects, Shapes
 from jaxpoint.pointing.posterior import AMBIGUOUS, posterior
-from jaxpoint.pointing.room import SURFACES, Room, end_in_room
+from jaxpoint.pointing.room import SURFACES, Room, RoomPoint, end_in_room
 
 NOTHING = "nothing"
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
@@ -121,7 +127,7 @@ def answers(
     best = chance.argmax(axis=1)
     # The way whose share in the winning answer is largest is the one that is shown.
     way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
-    measured = [_measured(way, scene) for way in ways]
+    measured = _measured(ways, scene)
     said = list(words) or [()] * len(holds)
     given = _Given(held, scene, people, frames, known_errors)
     return [
@@ -141,10 +147,18 @@ class _Given:
     known_errors: bool
 
 
-def _measured(way: Hypothesis, scene: Scene):
-    """Hits, the three nearest, and the end in the room, of all gestures."""
-    rays = way.lines.ray
-    return intersect(rays, scene.objects), nearest(rays, scene.objects), end_in_room(rays, scene.room)
+def _measured(ways: Sequence[Hypothesis], scene: Scene) -> list[tuple[Hits, Nearest, RoomPoint]]:
+    """Of each way hits, the three nearest, and the end in the room, of all gestures: in numpy, to be read singly."""
+    rays = jax.tree.map(lambda *leaves: np.stack(leaves), *(way.lines.ray for way in ways))
+    found = over_lines(partial(_met, scene.objects.shapes, len(scene.objects), scene.room), rays)
+    found = jax.tree.map(np.asarray, found)
+    return [jax.tree.map(itemgetter(i), found) for i in range(len(ways))]
+
+
+@partial(jit, static_argnames="count")
+def _met(shapes: Shapes, count: int, room: Room, rays: Ray) -> tuple[Hits, Nearest, RoomPoint]:
+    objects = Objects(shapes, ("",) * count, ("",) * count, ((),) * count)  # names would be another program
+    return intersect(rays, objects), nearest(rays, objects), end_in_room(rays, room)
 
 
 def _answer(
@@ -166,7 +180,7 @@ def _answer(
     )
     inside = bool(end.inside[i])
     surface = Place(SURFACES[int(end.surface[i])], float(end.distance[i]), np.asarray(end.point[i])) if inside else None
-    origin, name = np.asarray(way.lines.ray.origin[i]), names[order[0]]
+    origin, name = np.asarray(way.lines.ray.origin)[i], names[order[0]]
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     return Answer(
         number=i + 1,
@@ -177,10 +191,10 @@ def _answer(
         frame=int(given.frames[i]),
         views=hold.views,
         line=way.kind,
-        joints={name: np.asarray(getattr(given.held.joints, name)[i]) for name in JOINTS},
+        joints={name: np.asarray(getattr(given.held.joints, name))[i] for name in JOINTS},
         origin=origin,
-        direction=np.asarray(way.lines.ray.direction[i]),
-        sigma_deg=_sigma_deg(np.asarray(way.lines.direction_covariance[i])),
+        direction=np.asarray(way.lines.ray.direction)[i],
+        sigma_deg=_sigma_deg(np.asarray(way.lines.covariance)[i, 3:, 3:]),
         calibration_sigma_deg=_sigma_deg(way.by_calibration[i]) if given.known_errors else None,
         hits=hits,
         surface=surface,

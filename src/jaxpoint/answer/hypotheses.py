@@ -7,10 +7,12 @@ tells how probable each is, and the answer weighs both; nobody has to say it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -18,10 +20,14 @@ from jaxtyping import Array, Float
 
 from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.line import Ray, angle_between
-from jaxpoint.pointing.bias.bias import Bias, corrected
-from jaxpoint.pointing.joints import Joints, is_left, other_eye
-from jaxpoint.pointing.line import KINDS, PointingLine, directions, pointing_lines, weights_of
+from jaxpoint.errors import InsufficientDataError
+from jaxpoint.geometry.line import angle_between
+from jaxpoint.pointing.bias.bias import Bias
+from jaxpoint.pointing.bias.drawn import drawn
+from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.joints import Joints, other_eye
+from jaxpoint.pointing.line import KINDS, LineKind, PointingLine, directions, pointing_lines, weights_of
+from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.posterior import Behaviour
 
 AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
@@ -30,13 +36,17 @@ SAME_SIDE = 0.7  # of people aim with the eye on the side of the hand that point
 SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
 
 
-@dataclass(frozen=True)
-class Correction:
+class Correction(eqx.Module):
     """What takes a bias off the line of one kind, and how people scatter about it then."""
 
-    kind: str  # of `KINDS`
-    apply: Callable[[Mapping[str, PointingLine]], PointingLine]  # from lines of all kinds
+    lines: tuple[LineKind, ...] = eqx.field(static=True)  # that the model reads; the first is the one that is turned
+    model: AbstractModel
     behaviour: Behaviour
+
+    @property
+    def kind(self) -> LineKind:
+        """Of the line that is corrected."""
+        return self.lines[0]
 
 
 @dataclass(frozen=True)
@@ -67,56 +77,69 @@ def hypotheses(
     Raises:
         ValueError: weights of a blend that cannot be used.
     """
-    count = len(held.moments)
-    whole = np.ones(count)
-    if kind == "auto":
-        aims = _aiming(held.joints)
-        mirrored = jax.vmap(other_eye)(held.joints)
-        ways: Sequence[tuple[str, Joints, np.ndarray]] = (
-            ("eye-fingertip", held.joints, SAME_SIDE * aims),
-            ("eye-fingertip", mirrored, (1 - SAME_SIDE) * aims),
-            ("forearm", held.joints, 1 - aims),
-        )
-    else:
-        ways = ((kind, held.joints, whole),)
-    found = []
-    for name, joints, weight in ways:
-        chosen = blend or {} if name == "blend" else name
-        if correction is not None and correction.kind == name:
-            every = {kind: _lines(joints, held.covariance, kind) for kind in KINDS}
-            lines, behaviour = _corrected(correction, every, joints), correction.behaviour
-        else:
-            lines, behaviour = _lines(joints, held.covariance, chosen), behaviour_of(name)
-        own = np.asarray(_lines(joints, held.calibration, chosen).direction_covariance)
-        found.append(Hypothesis(name, lines, weight, behaviour, own))
-    return found
+    chosen = weights_of(blend or {} if kind == "blend" else "forearm" if kind == "auto" else kind)
+    draw = partial(_all_ways, kind, chosen, correction)
+    found = over_lines(draw, held.joints, held.covariance, held.calibration)
+    return [
+        Hypothesis(name, lines, np.asarray(weight), _behaviour(name, correction), np.asarray(own))
+        for name, (lines, own, weight) in zip(_names(kind), found, strict=True)
+    ]
+
+
+def _names(kind: str) -> tuple[str, ...]:
+    return ("eye-fingertip", "eye-fingertip", "forearm") if kind == "auto" else (kind,)
+
+
+def _behaviour(name: str, correction: Correction | None) -> Behaviour:
+    return behaviour_of(name) if correction is None or correction.kind != name else correction.behaviour
+
+
+@partial(jit, static_argnames="kind")
+def _all_ways(
+    kind: str,
+    chosen: Float[Array, "5"],
+    correction: Correction | None,
+    joints: Joints,
+    covariance: Float[Array, "G 18 18"],
+    calibration: Float[Array, "G 18 18"],
+) -> tuple[tuple[PointingLine, Float[Array, "G 3 3"], Float[Array, " G"]], ...]:
+    """Of each way its lines, the calibration's part of the directions' covariance, and its weight: one program."""
+
+    def way(name: str, joints: Joints, weight: Array):
+        weights = chosen if name == kind else jnp.asarray(weights_of(name))
+        every = jnp.broadcast_to(weights, (len(covariance), len(KINDS)))
+
+        def lines(covariance: Array) -> PointingLine:
+            if correction is None or correction.kind != name:
+                return pointing_lines(joints, covariance, every)
+            return drawn(correction.lines, correction.model, joints, covariance)
+
+        return lines(covariance), lines(calibration).direction_covariance, weight
+
+    if kind != "auto":
+        return (way(kind, joints, jnp.ones(len(covariance))),)
+    aims = _aiming(joints)
+    return (
+        way("eye-fingertip", joints, SAME_SIDE * aims),
+        way("eye-fingertip", jax.vmap(other_eye)(joints), (1 - SAME_SIDE) * aims),
+        way("forearm", joints, 1 - aims),
+    )
 
 
 def correction_of(bias: Bias) -> Correction:
-    """What a fitted bias takes off, and the scatter that it leaves on people who were not fitted."""
+    """What a fitted bias takes off, and the scatter that it leaves on people who were not fitted.
+
+    Raises:
+        InsufficientDataError: the bias reads a line that is none of `KINDS`.
+    """
+    missing = [kind for kind in bias.lines if kind not in KINDS]
+    if missing:
+        raise InsufficientDataError(
+            f"The bias reads the line '{missing[0]}', but there are only {', '.join(KINDS)}; fit one that reads those."
+        )
     azimuth, elevation = np.sqrt(np.diag(np.asarray(bias.spread.scale)))
     behaviour = Behaviour(azimuth, elevation, freedom=int(bias.spread.freedom))
-    return Correction(bias.lines[0], partial(corrected, bias), behaviour)
-
-
-def _corrected(correction: Correction, lines: Mapping[str, PointingLine], joints: Joints) -> PointingLine:
-    """Biases are those of right arms; a left arm's is its mirror image."""
-    own = correction.apply(lines)
-    mirrored = _mirrored(correction.apply({kind: _mirrored(line) for kind, line in lines.items()}))
-    left = jax.vmap(is_left)(joints)
-    return jax.tree.map(lambda a, b: jnp.where(left.reshape(-1, *[1] * (a.ndim - 1)), b, a), own, mirrored)
-
-
-def _mirrored(line: PointingLine) -> PointingLine:
-    """In the plane y = 0."""
-    sign = jnp.array([[1.0, -1.0, 1.0]])
-    both = jnp.concatenate([sign, sign], axis=1)
-    ray = Ray(line.ray.origin * sign, line.ray.direction * sign)
-    return PointingLine(ray, line.covariance * both[:, :, None] * both[:, None, :])
-
-
-def _lines(joints: Joints, covariance: Float[Array, "G 18 18"], kind: str | Mapping[str, float]) -> PointingLine:
-    return pointing_lines(joints, covariance, np.tile(weights_of(kind), (len(covariance), 1)))
+    return Correction(cast("tuple[LineKind, ...]", bias.lines), bias.model, behaviour)
 
 
 def behaviour_of(kind: str) -> Behaviour:
@@ -128,15 +151,9 @@ def behaviour_of(kind: str) -> Behaviour:
     return Behaviour(np.deg2rad(6.0), np.deg2rad(9.0))
 
 
-def _aiming(joints: Joints) -> Float[np.ndarray, " G"]:
+def _aiming(joints: Joints) -> Float[Array, " G"]:
     """The probability that the finger lies on the line of sight on purpose."""
-    apart = np.degrees(np.asarray(_finger_to_sight(joints)))
-    share = 1 / (1 + np.exp((apart - AIMING_DEG) / AIMING_WIDTH_DEG))
-    return np.clip(share, SURE_OF_WAY, 1 - SURE_OF_WAY)
-
-
-@jit
-def _finger_to_sight(joints: Joints) -> Float[Array, " G"]:
-    lines = directions(joints)
-    sight = jnp.asarray(joints.tip - joints.head)
-    return angle_between(lines[..., 1, :], sight)
+    sight = joints.tip - joints.head
+    apart = jnp.degrees(angle_between(directions(joints)[..., KINDS.index("finger"), :], sight))
+    share = jax.nn.sigmoid((AIMING_DEG - apart) / AIMING_WIDTH_DEG)
+    return jnp.clip(share, SURE_OF_WAY, 1 - SURE_OF_WAY)

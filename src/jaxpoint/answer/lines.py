@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
@@ -17,8 +16,9 @@ from jaxpoint.compilation import jit
 from jaxpoint.person.following import Following
 from jaxpoint.pointing.hold import held_mean
 from jaxpoint.pointing.joints import Joints, estimated_covariance
+from jaxpoint.pointing.lines import over_lines
 
-GESTURES = 8  # at once: a padded size for which programs are compiled
+GESTURES = 8  # at once, where there is more than one: a padded size for which programs are compiled
 
 
 @dataclass(frozen=True)
@@ -46,30 +46,32 @@ def held_joints(
         camera_covariance: of the cameras' D = 15 C numbers in the order of `Camera.perturbed`.
     """
     with jax.enable_x64(True):
-        values, spread, seen = frames_of(following, holds)
-        padded = -len(holds) % GESTURES
-        # A padded gesture repeats the last, so that no program meets one without frames.
-        values, spread, seen = (
-            np.concatenate([part, np.repeat(part[-1:], padded, axis=0)]) for part in (values, spread, seen)
-        )
-        parts = [
-            held_mean(values[i : i + GESTURES], spread[i : i + GESTURES], seen[i : i + GESTURES])
-            for i in range(0, len(values), GESTURES)
-        ]
-        mean, covariance, weights = (
-            np.concatenate([np.asarray(part[k]) for part in parts])[: len(holds)] for k in range(3)
-        )
+        mean, covariance, weights = _held(*frames_of(following, holds))
         moments = np.array([middle_moment(hold, own) for hold, own in zip(holds, weights)], int)
         cameras = np.zeros_like(covariance)
         if camera_covariance is not None:
             for i, (hold, moment) in enumerate(zip(holds, moments)):
                 by = np.asarray(by_calibration(rig, pixels_of(rig, following, hold, int(moment))))
                 cameras[i] = by @ camera_covariance @ by.T
-        joints, whole = _all_joints(mean, covariance + cameras)
-        # What the calibration adds, carried to all joints in the same way.
-        return HeldJoints(joints, whole, whole - _all_joints(mean, covariance)[1], moments)
+        return HeldJoints(*over_lines(_all_joints, mean, covariance, cameras), moments)
+
+
+def _held(*frames: np.ndarray) -> tuple[np.ndarray, ...]:
+    """`held_mean` of any number of holds: of one alone, or of `GESTURES` at once."""
+    count = len(frames[0])
+    size = 1 if count == 1 else GESTURES
+    # A padded gesture repeats the last, so that no program meets one without frames.
+    padded = [np.concatenate([part, np.repeat(part[-1:], -count % size, axis=0)]) for part in frames]
+    parts = [held_mean(*(part[i : i + size] for part in padded)) for i in range(0, count, size)]
+    return tuple(np.concatenate([np.asarray(own) for own in each])[:count] for each in zip(*parts))
 
 
 @jit
-def _all_joints(measured: Array, covariance: Array) -> tuple[Joints, Array]:
-    return jax.vmap(estimated_covariance)(jnp.asarray(measured), jnp.asarray(covariance))
+def _all_joints(measured: Array, covariance: Array, cameras: Array) -> tuple[Joints, Array, Array]:
+    """Joints, their covariance, and the calibration's part of it, which reaches all joints in the same way."""
+
+    def one(measured: Array, covariance: Array, cameras: Array) -> tuple[Joints, Array, Array]:
+        joints, whole = estimated_covariance(measured, covariance + cameras)
+        return joints, whole, whole - estimated_covariance(measured, covariance)[1]
+
+    return jax.vmap(one)(measured, covariance, cameras)

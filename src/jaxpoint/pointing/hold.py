@@ -21,8 +21,9 @@ def held_mean(
 
     All numbers of a frame share one weight, so they still belong together; half of the frames may be wrong (Vardi and
     Zhang 2000). Of an arm that is held, the error of measuring is nearly the same in all frames: the same outline is
-    seen by the same cameras. It is not divided by their number. What changes from frame to frame, tremor among it, is
-    divided by the number of independent frames that its correlation leaves.
+    seen by the same cameras. It is not divided by their number; of unlike frames the harmonic mean is taken. What
+    changes from frame to frame, tremor among it, is divided by the number of independent frames that its correlation
+    leaves.
 
     Args:
         values: of every frame; padded ones never matter.
@@ -44,8 +45,17 @@ def _held_mean(values: Array, covariance: Array, seen: Array) -> tuple[Array, Ar
     weights = weights / jnp.sum(weights)
     off = jnp.where(seen[:, None], values - middle[None], 0.0)
     scatter = jnp.einsum("f,fi,fj->ij", weights, off, off)
-    measured = jnp.einsum("f,fij->ij", weights, jnp.where(seen[:, None, None], covariance, 0.0))
+    measured = _harmonic_mean(jnp.where(seen[:, None, None], covariance, 0.0), weights)
     return middle, measured + scatter / _independent(off, seen, weights), weights
+
+
+def _harmonic_mean(covariance: Array, weights: Array) -> Array:
+    """Each frame counts by its information: one that saw next to nothing must not make the others worthless."""
+    size = jnp.trace(covariance, axis1=1, axis2=2)
+    known = size > 0
+    by = jnp.where(known, weights / jnp.where(known, size, 1.0), 0.0)
+    total = jnp.sum(by)
+    return jnp.einsum("f,fij->ij", by, covariance) / jnp.where(total > 0, total, 1.0)
 
 
 def _weighted(values: Array, weights: Array) -> Array:

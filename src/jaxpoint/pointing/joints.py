@@ -12,7 +12,7 @@ from jaxpoint.geometry.line import normalised
 
 EYE_AHEAD = 0.047  # of the stature, from the middle of the head to the eyes: 8 cm of a head that is 20 cm long
 EYE_ASIDE_M = 0.032  # half the distance between the eyes
-EYE_SIGMA_M = 0.01  # of an eye whose side is known
+EYE_SIGMA_M = 0.006  # of an eye whose side is known
 SHOULDER_HEIGHT = 0.818  # of the stature (Drillis & Contini 1966)
 SHOULDER_ASIDE = 0.129  # of the stature, from the body's axis (the same)
 SHOULDER_SIGMA_M = 0.04  # per coordinate: its play, and the trunk's turn

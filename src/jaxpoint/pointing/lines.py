@@ -25,24 +25,34 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
     """
     batch = jax.tree.leaves(lines[0])[0].shape[:-1]
     count = math.prod(batch)
-    flat = jax.tree.map(lambda leaf: leaf.reshape(count, *leaf.shape[len(batch) :]), lines)
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((function, lines))):
-        found = function(*flat)
-    elif count > PART:
-        flat = jax.tree.map(np.asarray, flat)
-        found = by_all_cores(lambda start: function(*_rows(flat, start, PART)), count, PART)
+        found = function(*_reshaped(lines, len(batch), (count,)))
     else:
-        size = 1 << max(count - 1, 0).bit_length()
-        found = jax.tree.map(lambda leaf: leaf[:count], function(*_rows(flat, 0, size)))
-    return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), found)
+        # In numpy: for a few lines JAX's own slicing and padding takes longer than the program.
+        flat = _reshaped(jax.tree.map(np.asarray, lines), len(batch), (count,))
+        if count > PART:
+            found = by_all_cores(lambda start: function(*_rows(flat, start, PART)), count, PART)
+        else:
+            size = 1 << max(count - 1, 0).bit_length()
+            found = function(*_rows(flat, 0, size))
+            if batch == (size,):
+                return found
+            some = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
+            return jax.tree.map(jnp.asarray, _reshaped(some, 1, batch))
+    return _reshaped(found, 1, batch)
+
+
+def _reshaped(tree: Any, axes: int, shape: tuple[int, ...]) -> Any:
+    """Other leading axes in the place of the first `axes`."""
+    return jax.tree.map(lambda leaf: leaf.reshape((*shape, *leaf.shape[axes:])), tree)
 
 
 def _rows(tree: Any, start: int, size: int) -> Any:
     """Some rows, with zeros at the end if there are too few."""
 
-    def some(leaf: Any) -> jax.Array:
+    def some(leaf: np.ndarray) -> np.ndarray:
         rows = leaf[start : start + size]
         missing = size - len(rows)
-        return jnp.asarray(np.pad(rows, [(0, missing), *[(0, 0)] * (rows.ndim - 1)]) if missing else rows)
+        return np.pad(rows, [(0, missing), *[(0, 0)] * (rows.ndim - 1)]) if missing else rows
 
     return jax.tree.map(some, tree)

@@ -84,9 +84,9 @@ def posterior(
     """
     behaviour = Behaviour() if behaviour is None else behaviour
     batch = lines.ray.origin.shape[:-1]
-    dtype = lines.ray.origin.dtype
-    weights = jnp.ones(len(objects), dtype) if prior is None else as_float(prior)
-    weights = jnp.broadcast_to(weights / jnp.sum(weights), (*batch, len(objects)))
+    weights = np.full((*batch, len(objects)), 1 / len(objects), lines.ray.origin.dtype)
+    if prior is not None:
+        weights = jnp.broadcast_to(as_float(prior) / jnp.sum(as_float(prior)), weights.shape)
     if evidence is not None:
         weights = weights * jnp.broadcast_to(as_float(evidence), weights.shape)
     # The covariance as nine rows more: over_lines wants a last axis alone.
