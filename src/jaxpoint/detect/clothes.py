@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float, UInt8
 from jaxpoint.detect.colour import Image
 
 CHEST = (1.0, 2.6, 0.5)  # of the head's height: below its middle from, to; and half as wide
-FACE = (0.33, 0.42, 0.1)  # of the head's height: half as wide, half as high, below its middle
+FACE = (0.33, 0.36, 0.18)  # of the head's height: half as wide, half as high, below its middle
 MOSTLY = 0.5  # of the chest that must look like skin before it is doubted
 MIN_PIXELS = 60
 APART = 2.0  # standard deviations between face and chest: less is a bare chest, or cloth that nobody can tell
+KEPT = 0.7  # of the face that must not have the shirt's colour
 ALIKE = 3.0  # standard deviations from the chest's colour within which a pixel is the shirt
 _FLOOR = 2.0  # variance that noise leaves, in the units of `_features`
 
@@ -52,7 +53,7 @@ def shirt_like_skin(
     found = np.zeros(skin.shape, bool)
     off = _features(image[skin]) - shirt[0]
     found[skin] = np.einsum("ni,ij,nj->n", off, np.linalg.inv(shirt[1]), off) < ALIKE**2
-    return found
+    return found if found[face].mean() <= 1 - KEPT else None
 
 
 def _part(shape: tuple[int, ...], low: tuple[float, float], high: tuple[float, float]) -> tuple[slice, slice]:

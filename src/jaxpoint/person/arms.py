@@ -37,6 +37,9 @@ ROUNDS = 3  # of promising, measuring, fitting
 MIN_SLICES = 6  # of a view that counts
 ONE_EDGE_SLICES = 10  # of a view in which only one of the limb's edges is seen
 FORESHORTENED = np.deg2rad(15.0)  # a limb nearer to the line of sight says nothing of its direction (thesis 7.3)
+HANGS_M = 0.3  # from the body's upright axis: a tip that is nearer does not point
+BEND_M = 0.14  # from the forearm's axis to the tip of a bent hand; farther out is another limb's
+SIGMA = np.deg2rad(10.0)  # of a direction that still says something
 AGREES = 2.5  # a view's middle line lies within so many of these errors of the common axis
 MOST_TIPS = 3  # candidates of a tip in one view
 MOST_LIMBS = 12  # long ends of one view that are looked at
@@ -149,17 +152,19 @@ def find_arm(
     scene = _scene(rig, crops)
     limbs, cameras = _limbs(scene, head, head_px)
     arms = sorted(associate(_rays_of(scene, limbs, cameras), head), key=lambda arm: -stretch(arm.tip, head))
-    farthest, doubtful = None, None
+    doubtful, unmeasured = None, []
     for arm in arms:
         reach = stretch(arm.tip, head)
-        if farthest is not None and reach < farthest - RIVAL_M:
-            break  # the arm that is stretched out could not be measured; another one is no answer
+        if reach < HANGS_M:
+            break
+        if any(stretch(u.tip, head) > reach + RIVAL_M and u.support > arm.support for u in unmeasured):
+            continue  # an arm that more views promise is stretched out farther; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
         measured = _measured(scene, arm, own, limb_span(head))
         if measured is not None and not measured.refuted:
             return replace(measured, stretch=reach)
         if measured is None:
-            farthest = farthest or reach
+            unmeasured.append(arm)
         elif doubtful is None:
             doubtful = replace(measured, stretch=reach)
     return doubtful
@@ -258,8 +263,17 @@ def _measured(
     for camera, view in enumerate(views):
         if view.reason == ArmReason.FOUND:
             views[camera] = replace(view, tip=seen.get(camera, projected[camera]))
+    if not _is_limb(tip, axis):
+        return None
     past = int(looks_past(scene.crops, best.promised.pixels, scene.sizes).sum())
     return PointingArm(tip, spread, axis, tuple(views), 0.0, past)
+
+
+def _is_limb(tip: Float[np.ndarray, "3"], axis: LimbAxis) -> bool:
+    """Whether the axis is known at all, and the tip lies as near to it as that of a bent hand."""
+    ahead, gap = np.asarray(axis.direction), tip - np.asarray(axis.near)
+    beside = np.linalg.norm(gap - (gap @ ahead) * ahead)
+    return bool(beside <= BEND_M and np.trace(np.asarray(axis.direction_covariance)) <= SIGMA**2)
 
 
 def _starts(arm: Arm) -> list[Float[np.ndarray, "3"]]:

@@ -15,6 +15,7 @@ from jaxpoint.detect.arm import SLICE_M, SLICES
 
 TIP_GAP_M = 0.07  # between the tips of two views
 PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
+GUESS_ANGLE = np.deg2rad(4.0)  # the same where other views, or the covariance, judge what comes of it
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
 AXIS_TO_TIP_M = 0.12  # a bent wrist carries the tip this far from the forearm's axis
 _PULL = 1e-4  # of the tip on the axis, where the planes do not hold it
@@ -171,7 +172,7 @@ def agreeing_views(
     # The point of both planes that is nearest to the tip along the planes' normals.
     rows = np.stack([normal[i], normal[j], axis], axis=1)
     offsets = np.stack([(normal[k] * origins[views][k]).sum(axis=1) for k in (i, j)] + [axis @ tip], axis=1)
-    wide = sine > np.sin(PLANE_ANGLE)
+    wide = sine > np.sin(GUESS_ANGLE)
     if not wide.any():
         return None
     rows, offsets, axis = rows[wide], offsets[wide], axis[wide]
@@ -234,7 +235,7 @@ def _hypotheses(limbs, normal, inward):
     sign_i = np.sign(np.einsum("ni,ni->n", axis, inward[i]))
     sign_j = np.sign(np.einsum("ni,ni->n", axis, inward[j]))
     tip, gap, ahead = _meet(limbs.origin[i], limbs.tip[i], limbs.origin[j], limbs.tip[j])
-    good = (sine > np.sin(PLANE_ANGLE)) & (sign_i == sign_j) & (gap < TIP_GAP_M) & ahead
+    good = (sine > np.sin(GUESS_ANGLE)) & (sign_i == sign_j) & (gap < TIP_GAP_M) & ahead
     return np.stack([i, j], axis=1)[good], tip[good], (axis * sign_i[:, None])[good]
 
 
@@ -323,4 +324,4 @@ def _of_pairs(normal: Float[np.ndarray, "n 3"], direction: Float[np.ndarray, "3"
     sine = np.linalg.norm(axis, axis=1)
     axis = axis / np.maximum(sine, 1e-12)[:, None]
     axis = axis * np.where(axis @ direction < 0, -1.0, 1.0)[:, None]
-    return tuple(axis[k] for k in np.argsort(-sine) if sine[k] > np.sin(PLANE_ANGLE))
+    return tuple(axis[k] for k in np.argsort(-sine) if sine[k] > np.sin(GUESS_ANGLE))
