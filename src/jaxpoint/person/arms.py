@@ -33,6 +33,7 @@ SPAN = (0.108, 0.240)  # of the stature, behind the tip: wrist at 0.108, elbow a
 SMALLEST_M, TALLEST_M = 1.45, 2.0  # of standing people
 SEATED_M = 1.65  # stature of who is lower than that
 RIVAL_M = 0.12  # arms stretched out less far by more than this are no rivals of the farthest
+VIEW_M = 0.04  # by which an arm may be stretched out less for each view more that promises it
 ROUNDS = 3  # of promising, measuring, fitting
 MIN_SLICES = 6  # of a view that counts
 ONE_EDGE_SLICES = 10  # of a view in which only one of the limb's edges is seen
@@ -151,12 +152,13 @@ def find_arm(
     """
     scene = _scene(rig, crops)
     limbs, cameras = _limbs(scene, head, head_px)
-    arms = sorted(associate(_rays_of(scene, limbs, cameras), head), key=lambda arm: -stretch(arm.tip, head))
+    arms = associate(_rays_of(scene, limbs, cameras), head)
+    arms.sort(key=lambda arm: -stretch(arm.tip, head) - VIEW_M * arm.support)
     doubtful, unmeasured = None, []
     for arm in arms:
         reach = stretch(arm.tip, head)
         if reach < HANGS_M:
-            break
+            continue
         if any(stretch(u.tip, head) > reach + RIVAL_M and u.support > arm.support for u in unmeasured):
             continue  # an arm that more views promise is stretched out farther; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
