@@ -22,10 +22,10 @@ def crop(rows: slice) -> Crop:
     [
         (crop(slice(40, 60)), ALONG, False),  # on the person
         (crop(slice(70, 80)), ALONG, True),  # the person is elsewhere
-        (crop(slice(40, 60)), ALONG + [0.0, 30.0], True),
-        (crop(slice(40, 60)), ALONG + [55.0, 0.0], True),  # but for a tenth of it
-        (crop(slice(40, 60)), ALONG + [35.0, 0.0], False),  # more than a third of it is on the person
-        (crop(slice(70, 80)), ALONG - [70.0, 0.0], False),  # partly outside the image: nothing is known
+        (crop(slice(40, 60)), np.add(ALONG, [0.0, 30.0]), True),
+        (crop(slice(40, 60)), np.add(ALONG, [55.0, 0.0]), True),  # but for a tenth of it
+        (crop(slice(40, 60)), np.add(ALONG, [35.0, 0.0]), False),  # more than a third of it is on the person
+        (crop(slice(70, 80)), np.add(ALONG, [-70.0, 0.0]), False),  # partly outside the image: nothing is known
         (None, ALONG, False),
     ],
 )

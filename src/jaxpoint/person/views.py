@@ -18,7 +18,7 @@ from jaxpoint.detect.person import FrameReason, Look, PersonWatch, Sighting
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import replacing
 
-FORMAT = 2  # of the kept files; higher whenever a detector gives other results
+FORMAT = 3  # of the kept files; higher whenever a detector gives other results
 
 
 @dataclass(frozen=True)
