@@ -267,7 +267,7 @@ def _measured(
             views[camera] = replace(view, tip=seen.get(camera, projected[camera]))
     if not _is_limb(tip, axis):
         return None
-    past = int(looks_past(scene.crops, best.promised.pixels, scene.sizes).sum())
+    past = int(looks_past(scene.crops, np.asarray(best.promised.pixels), scene.sizes).sum())
     return PointingArm(tip, spread, axis, tuple(views), 0.0, past)
 
 

@@ -22,7 +22,7 @@ def looks_past(
         places: along the axis, px.
         sizes: of the images, px, width and height.
     """
-    whole = ((places >= 0) & (places <= sizes[:, None] - 1)).all(axis=(1, 2))
+    whole = np.all((places >= 0) & (places <= sizes[:, None] - 1), axis=(1, 2))
     return np.array(
         [whole[c] and crop is not None and _on_person(crop, places[c]) < THROUGH for c, crop in enumerate(crops)]
     )
