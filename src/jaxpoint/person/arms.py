@@ -411,7 +411,8 @@ def _common_tip(
     padded, place = np.zeros((most, 1, 2)), np.zeros(most, np.int64)
     padded[:count, 0], place[:count] = pixels, views
     rays = np.asarray(rays_through(scene.rig, padded, place))[:count, 0]
-    found = common_point(scene.positions[views], rays, np.array(views), np.asarray(axis.direction))
+    ahead, beside = np.asarray(axis.direction), (np.asarray(axis.near), BEND_M)
+    found = common_point(scene.positions[views], rays, np.array(views), ahead, beside=beside)
     if found is None:
         return None
     tip, spread, members = found

@@ -104,6 +104,7 @@ def common_point(
     views: Int[np.ndarray, " n"],
     ahead: Float[np.ndarray, "3"],
     within_m: float = 0.02,
+    beside: tuple[Float[np.ndarray, "3"], float] | None = None,
 ) -> tuple[Float[np.ndarray, "3"], float, list[int]] | None:
     """Where candidates of several views meet, one a view; of places with as many views the one farthest ahead.
 
@@ -113,6 +114,7 @@ def common_point(
         views: of each candidate.
         ahead: unit direction in which a candidate that reaches farther is the better one.
         within_m: distance of a ray from the place that supports it.
+        beside: a point of the axis along `ahead`, and the farthest distance from that axis, m; None for anywhere.
 
     Returns:
         The place (m), the rms distance of its rays (m), and which candidates support it; None where no two do.
@@ -121,6 +123,9 @@ def common_point(
     i, j = (index[views[i] != views[j]] for index in (i, j))
     points, gap, front = _meet(origins[i], rays[i], origins[j], rays[j])
     points = points[front & (gap < 2 * within_m)]
+    if beside is not None:
+        off = points - beside[0]
+        points = points[np.linalg.norm(off - (off @ ahead)[:, None] * ahead, axis=1) <= beside[1]]
     if not len(points):
         return None
     off = points[:, None] - origins[None]
