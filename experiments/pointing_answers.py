@@ -6,7 +6,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.answer.answers import NOTHING, Scene, answers
+from jaxpoint.answer.answers import NOTHING, SHARPER, Scene, answers
 from jaxpoint.answer.holds import Hold
 from jaxpoint.answer.hypotheses import correction_of, hypotheses
 from jaxpoint.answer.lines import HeldJoints
@@ -45,7 +45,7 @@ def fitted(sessions: list[dict]) -> Bias:
     return fit("blend", given, source="simulated people who point approximately, from pixels")
 
 
-def answers_of(session: dict, model: Bias) -> list[dict]:
+def answers_of(session: dict, model: Bias, sharper: float = SHARPER) -> list[dict]:
     """One row a gesture."""
     things = [Thing(t["name"], Rectangle(np.array(t["corners"])), t["kind"]) for t in session["objects"]]
     centres = np.array([np.mean(t["corners"], axis=0) for t in session["objects"]])
@@ -54,13 +54,13 @@ def answers_of(session: dict, model: Bias) -> list[dict]:
     for gesture in session["gestures"]:
         row = {key: gesture[key] for key in ("seed", "gesture", "person", "law", "target", "found", "views")}
         for mode, correction in (("raw", None), ("with the model", correction_of(model))):
-            row[mode] = _answered(gesture, scene, correction)
+            row[mode] = _answered(gesture, scene, correction, sharper)
         row["thesis"] = _thesis(gesture, scene)
         rows.append(row)
     return rows
 
 
-def _answered(gesture: dict, scene: Scene, correction) -> dict:
+def _answered(gesture: dict, scene: Scene, correction, sharper: float) -> dict:
     if not gesture["found"]:
         return {"name": None, "probability": 0.0, "error_deg": None, "line": None, "second": None}
     covariance = jnp.asarray(gesture["covariance"])[None]
@@ -68,7 +68,8 @@ def _answered(gesture: dict, scene: Scene, correction) -> dict:
     held = HeldJoints(joints, covariance, jnp.zeros_like(covariance), np.zeros(1, int))
     times = np.array([gesture["start_s"], gesture["end_s"]])
     hold = Hold(0, np.arange(2), times, gesture["views"])
-    (answer,) = answers([hold], held, hypotheses(held, "auto", None, correction), scene, [1], [0])
+    ways = hypotheses(held, "auto", None, correction)
+    (answer,) = answers([hold], held, ways, scene, [1], [0], sharper=sharper)
     error = _off_deg(answer.origin, answer.direction, gesture)
     second = answer.probabilities[1][0] if len(answer.probabilities) > 1 else None
     return {

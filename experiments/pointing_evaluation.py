@@ -59,8 +59,8 @@ def main() -> None:
     print(table)
 
 
-def answered(sessions: list[dict]) -> list[dict]:
-    """Every gesture answered in every mode; the model's people are those of other sessions."""
+def answered(sessions: list[dict], **how: float) -> list[dict]:
+    """Every gesture answered in every mode; the model's people are those of other sessions. `how`: see `answers_of`."""
     from pointing_answers import answers_of, fitted
 
     rows = []
@@ -69,7 +69,7 @@ def answered(sessions: list[dict]) -> list[dict]:
         others = [session for i, session in enumerate(sessions) if i % FOLDS != fold]
         model = fitted(others)
         for session in own:
-            rows += answers_of(session, model)
+            rows += answers_of(session, model, **how)
     return rows
 
 
