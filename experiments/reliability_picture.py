@@ -31,7 +31,7 @@ def reliability_picture(
             axes.annotate(f"n = {own.sum()}", (given[own].mean(), interval.low), (0, -4), textcoords="offset points",
                           ha="center", va="top", fontsize=8)  # fmt: skip
     axes.errorbar([], [], [], fmt="o", color="#2f7fd1", capsize=3, label="answers, interval of 95 %")
-    axes.legend(frameon=False, loc="upper left")
+    axes.legend(frameon=False, loc="lower right")
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=130)

@@ -140,7 +140,7 @@ class _Measured:
 def find_arm(
     rig: CameraRig, crops: Sequence[Crop | None], head: Float[np.ndarray, "3"], head_px: Float[np.ndarray, "C 2"]
 ) -> PointingArm | None:
-    """The arm of a person that is stretched out farthest; None where no two views agree on one.
+    """The arm of a person that is stretched out farthest; None where no two views agree on one, or it hangs.
 
     Computes in the precision that JAX is set to; `follow` sets it to float64.
 
