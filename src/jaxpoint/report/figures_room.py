@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from mpl_toolkits.mplot3d.axis3d import Axis as Axis3D
 
-from jaxpoint.report.style import FAINT, INK, PAGE
+from jaxpoint.report.style import FAINT, INK, PAGE, quiet_axes
 
 _TIME = "viridis"
 _MARGIN_M = 0.4
@@ -70,11 +69,7 @@ def space_view(
     ax.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
     ax.set_box_aspect(tuple(high - low), zoom=0.95)  # pyright: ignore[reportArgumentType]
     ax.view_init(elev=26, azim=-60)
-    for axis in cast(list[Axis3D], [ax.xaxis, ax.yaxis, ax.zaxis]):
-        axis.set_pane_color((0.5, 0.55, 0.6, 0.06))
-        axis.line.set_color(FAINT)
-    ax.tick_params(labelsize=7)
-    ax.locator_params(nbins=6)
+    quiet_axes(ax)
     return figure, ax, float(low[2])
 
 

@@ -11,9 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
-from mpl_toolkits.mplot3d.axis3d import Axis as Axis3D
 
-from jaxpoint.report.style import FAINT, INK, PAGE, camera_colors
+from jaxpoint.report.style import INK, PAGE, camera_colors, quiet_axes
 from jaxpoint.report.summary import Scene
 
 _FRUSTUM = (0.22, 0.06)  # depth of a drawn field of view, as fractions of the rig's and of the whole scene's size
@@ -74,11 +73,7 @@ def _solid_view(ax: Axes3D, scene: Scene, names: tuple[str, ...], cones: np.ndar
     ax.set(xlabel=_label("x", scene), ylabel=_label("y", scene), zlabel=_label("z", scene))
     ax.set_box_aspect(tuple(high - low), zoom=0.88)  # pyright: ignore[reportArgumentType]
     ax.view_init(elev=24, azim=-62)
-    for axis in cast(list[Axis3D], [ax.xaxis, ax.yaxis, ax.zaxis]):
-        axis.set_pane_color((0.5, 0.55, 0.6, 0.06))
-        axis.line.set_color(FAINT)
-    ax.tick_params(labelsize=7)
-    ax.locator_params(nbins=6)
+    quiet_axes(ax)
 
 
 def coverage_in_space(

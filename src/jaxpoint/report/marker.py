@@ -80,7 +80,7 @@ def _tiles(figures: Mapping[str, Any], track: figures_marker.TipTrack | None) ->
 
 def _cameras(figures: Mapping[str, Any]) -> tables.Table:
     rows = [
-        [camera["name"], f"{camera['found']} of {camera['frames']}", _told(camera["reasons"])]
+        [camera["name"], f"{camera['found']} of {camera['frames']}", tables.counted_reasons(camera["reasons"])]
         for camera in figures["cameras"]
     ]
     return tables.Table(["camera", "marker in", "other frames"], rows)
@@ -91,11 +91,7 @@ def _others(figures: Mapping[str, Any]) -> str:
     room = figures["in_room"]
     if room is None:
         return "Tips in the room need a calibration (--calibration) and two cameras or more."
-    return f"Moments without a tip in the room: {_told(room['reasons'])}." if room["reasons"] else ""
-
-
-def _told(reasons: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in reasons.items()) or "–"
+    return f"Moments without a tip in the room: {tables.counted_reasons(room['reasons'])}." if room["reasons"] else ""
 
 
 def _swatch(model: Mapping[str, float]) -> str:

@@ -82,7 +82,7 @@ def _cameras(figures: Mapping[str, Any]) -> tables.Table:
             camera["name"],
             f"{camera['with_person']} of {camera['frames']}",
             str(camera["heads"]),
-            ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in camera["reasons"].items()) or "–",
+            tables.counted_reasons(camera["reasons"]),
         ]
         for camera in figures["cameras"]
     ]

@@ -12,13 +12,15 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import colors
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+from mpl_toolkits.mplot3d.axis3d import Axis as Axis3D
 from PIL import Image
 
 INK = "#10202f"
@@ -124,6 +126,15 @@ def small_multiples(
         if not ticks:
             ax.set(xticks=[], yticks=[])
     return figure, axes
+
+
+def quiet_axes(ax: Axes3D) -> None:
+    """Faint walls and lines, few and small numbers."""
+    for axis in cast(list[Axis3D], [ax.xaxis, ax.yaxis, ax.zaxis]):
+        axis.set_pane_color((0.5, 0.55, 0.6, 0.06))
+        axis.line.set_color(FAINT)
+    ax.tick_params(labelsize=7)
+    ax.locator_params(nbins=6)
 
 
 def to_svg(figure: Figure) -> str:

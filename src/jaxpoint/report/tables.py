@@ -54,6 +54,11 @@ class Matrix:
     inliers: bool = False
 
 
+def counted_reasons(reasons: Mapping[str, int]) -> str:
+    """How often each reason stood in the way."""
+    return ", ".join(f"{count} {why.replace('_', ' ')}" for why, count in reasons.items()) or "–"
+
+
 def fit_table(summary: Summary) -> Table:
     """One row a camera: what it saw, what was kept of it, and how well that fits."""
     header = [
