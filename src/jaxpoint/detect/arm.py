@@ -48,6 +48,14 @@ class Crop:
     corner: tuple[int, int]  # px, x and y of the crop's first pixel in the image
     image_size: tuple[int, int]  # px, width and height of the whole image
 
+    def at(self, pixels: Float[np.ndarray, "n 2"]) -> UInt8[np.ndarray, " n"]:
+        """The `Pixel`s nearest to places of the whole image; NOTHING outside the crop."""
+        inside = np.round(pixels - np.array(self.corner))
+        height, width = self.labels.shape
+        held = ((inside >= 0) & (inside < (width, height))).all(axis=1)
+        x, y = np.where(held[:, None], inside, 0).astype(int).T
+        return np.where(held, self.labels[y, x], np.uint8(Pixel.NOTHING))
+
 
 @dataclass(frozen=True)
 class Limb:

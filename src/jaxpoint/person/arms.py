@@ -26,14 +26,17 @@ from jaxpoint.detect.arm import (
 from jaxpoint.person.association import Arm, LimbRays, agreeing_views, associate, common_point, stretch
 from jaxpoint.person.promise import NEAREST_M, Promise, promise, rays_through, strips_axis
 from jaxpoint.person.refuted import looks_past
+from jaxpoint.person.signs import signs_of
 from jaxpoint.pointing.axis import LimbAxis
 
 HEAD_M = 0.24  # height of a head
 SPAN = (0.108, 0.240)  # of the stature, behind the tip: wrist at 0.108, elbow at 0.254 (Drillis & Contini)
+ELBOW = 0.254  # of the stature, from the tip to the elbow
 SMALLEST_M, TALLEST_M = 1.45, 2.0  # of standing people
 SEATED_M = 1.65  # stature of who is lower than that
-RIVAL_M = 0.12  # arms stretched out less far by more than this are no rivals of the farthest
 VIEW_M = 0.04  # by which an arm may be stretched out less for each view more that promises it
+SURE = 3.5  # log odds of an arm beyond which no other is looked for
+LEAST = -1.0  # log odds of the least likely arm that is an answer
 ROUNDS = 3  # of promising, measuring, fitting
 MIN_SLICES = 6  # of a view that counts
 ONE_EDGE_SLICES = 10  # of a view in which only one of the limb's edges is seen
@@ -89,7 +92,7 @@ class PointingArm:
     axis: LimbAxis
     views: tuple[ArmView, ...]
     stretch: float  # m, how far the tip is from the body's upright axis
-    past: int = 0  # views that look past it
+    log_odds: float = 0.0  # that it is an arm that points, by its signs
 
     @property
     def direction(self) -> Float[np.ndarray, "3"]:
@@ -100,11 +103,6 @@ class PointingArm:
     def counted(self) -> int:
         """Number of views that have a say."""
         return sum(view.reason == ArmReason.FOUND for view in self.views)
-
-    @property
-    def refuted(self) -> bool:
-        """Whether as many views look past it as see it: it may still be there, behind furniture."""
-        return self.past >= self.counted
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,9 @@ class _Measured:
 def find_arm(
     rig: CameraRig, crops: Sequence[Crop | None], head: Float[np.ndarray, "3"], head_px: Float[np.ndarray, "C 2"]
 ) -> PointingArm | None:
-    """The arm of a person that is stretched out farthest; None where no two views agree on one, or it hangs.
+    """The arm with which a person points, by its signs; None where no two views agree on one that is like it.
+
+    Limbs are measured in the order of their reach, until one is surely an arm that points.
 
     Computes in the precision that JAX is set to; `follow` sets it to float64.
 
@@ -154,22 +154,17 @@ def find_arm(
     limbs, cameras = _limbs(scene, head, head_px)
     arms = associate(_rays_of(scene, limbs, cameras), head)
     arms.sort(key=lambda arm: -stretch(arm.tip, head) - VIEW_M * arm.support)
-    doubtful, unmeasured = None, []
+    best = None
     for arm in arms:
-        reach = stretch(arm.tip, head)
-        if reach < HANGS_M:
+        if stretch(arm.tip, head) < HANGS_M:
             continue
-        if any(stretch(u.tip, head) > reach + RIVAL_M and u.support > arm.support for u in unmeasured):
-            continue  # an arm that more views promise is stretched out farther; another one is no answer
         own = {cameras[member]: limbs[member].tip for member in arm.members}
-        measured = _measured(scene, arm, own, limb_span(head))
-        if measured is not None and not measured.refuted:
-            return replace(measured, stretch=reach)
-        if measured is None:
-            unmeasured.append(arm)
-        elif doubtful is None:
-            doubtful = replace(measured, stretch=reach)
-    return doubtful
+        measured = _measured(scene, arm, own, head)
+        if measured is not None and (best is None or measured.log_odds > best.log_odds):
+            best = measured
+            if best.log_odds > SURE:
+                break
+    return best if best is not None and best.log_odds > LEAST else None
 
 
 def find_arm_again(
@@ -187,8 +182,7 @@ def find_arm_again(
     ahead, near, tip = other.direction, np.asarray(other.axis.near), other.tip
     foot = near + ((tip - near) @ ahead) * ahead
     arm = Arm((), tip + moved, ahead, 0.0, other.tip_spread, foot + moved)
-    found = _measured(_scene(rig, crops), arm, {}, limb_span(head))
-    return None if found is None else replace(found, stretch=stretch(found.tip, head))
+    return _measured(_scene(rig, crops), arm, {}, head)
 
 
 def _scene(rig: CameraRig, crops: Sequence[Crop | None]) -> _Scene:
@@ -238,12 +232,13 @@ def limb_span(head: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
 
 
 def _measured(
-    scene: _Scene, arm: Arm, own: Mapping[int, np.ndarray], span: Float[np.ndarray, "2"]
+    scene: _Scene, arm: Arm, own: Mapping[int, np.ndarray], head: Float[np.ndarray, "3"]
 ) -> PointingArm | None:
     """The arm, its edges measured across the promised axis in every view; the start with the most agreement wins.
 
     `own` are the tips that single views gave it, by camera.
     """
+    span = limb_span(head)
     tries: list[_Measured] = []
     for start in _starts(arm):
         tries.append(_settle(scene, arm.foot, start, span, ROUNDS))
@@ -268,7 +263,10 @@ def _measured(
     if not _is_limb(tip, axis):
         return None
     past = int(looks_past(scene.crops, np.asarray(best.promised.pixels), scene.sizes).sum())
-    return PointingArm(tip, spread, axis, tuple(views), 0.0, past)
+    strips = [view.strip for view in views]
+    forearm = float(span[0]), float(span[1] * ELBOW / SPAN[1])
+    signs = signs_of(scene.rig, scene.crops, head, axis, tip, strips, forearm, past)
+    return PointingArm(tip, spread, axis, tuple(views), signs.stretch, signs.log_odds)
 
 
 def _is_limb(tip: Float[np.ndarray, "3"], axis: LimbAxis) -> bool:

@@ -25,6 +25,8 @@ SHOULDER_BELOW_M = 0.28  # under the centre of the head
 ELBOW_REACH_M = (0.10, 0.68)  # from the middle between the shoulders to the elbow
 BENT_M = 0.10  # nearer to the shoulders than the elbow a hand may be, where the elbow is bent
 TIP_REACH_M = 1.25  # from the head
+SAME_TIP_M = 0.10  # hypotheses with tips as near as this
+SAME_ANGLE = np.deg2rad(20.0)  # and directions as near as this are one limb
 _FOREARM = slice(round(0.17 / SLICE_M), round(0.40 / SLICE_M))
 
 
@@ -62,8 +64,10 @@ class Arm:
         return self.tip - ELBOW_M * self.direction
 
 
-def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 4) -> list[Arm]:
-    """The limbs that at least two views agree on, best supported first; a long end belongs to one only.
+def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 12) -> list[Arm]:
+    """The limbs that at least two views agree on, best supported first.
+
+    A long end may belong to several: which of them are real is told when they are measured.
 
     Args:
         limbs: of one person at one moment.
@@ -79,15 +83,15 @@ def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 
     if not len(pairs):
         return []
     fit = _agreement(limbs, normal, inward, tips, directions)
-    free = np.ones(len(limbs), bool)
+    members, support = _members(limbs, fit)
+    left = (members >= 0).sum(axis=1) >= 2
     arms: list[Arm] = []
-    while len(arms) < most:
-        best, members = _best(limbs, pairs, fit, free)
-        if best is None:
-            break
-        arm = _arm(limbs, normal, members, directions[best], fit[best])
-        free[list(members)] = False
-        arms.append(arm)
+    while len(arms) < most and left.any():
+        best = int(np.where(left, support, -1.0).argmax())
+        own = members[best]
+        arms.append(_arm(limbs, normal, tuple(own[own >= 0].tolist()), directions[best], fit[best]))
+        near = np.linalg.norm(tips - tips[best], axis=1) < SAME_TIP_M
+        left &= ~(near & (directions @ directions[best] > np.cos(SAME_ANGLE)))
     return arms
 
 
@@ -280,24 +284,18 @@ def _agreement(limbs, normal, inward, tips, directions) -> Float[np.ndarray, "H 
     return np.where(same & (along < 0), np.sqrt(near * flat), 0.0) * limbs.weight
 
 
-def _best(limbs, pairs, fit, free) -> tuple[int | None, tuple[int, ...]]:
-    """The hypothesis with the most support by free long ends, one a view."""
-    usable = free[pairs].all(axis=1)
-    if not usable.any():
-        return None, ()
-    fit = np.where(free[None], fit, 0.0)
-    cameras = np.unique(limbs.camera)
-    in_view = np.stack([np.where(limbs.camera == c, fit, 0.0).max(axis=1) for c in cameras], axis=1)
-    support = np.where(usable, in_view.sum(axis=1), -1.0)
-    best = int(support.argmax())
-    members = []
-    for camera in cameras:
-        of_view = np.where(limbs.camera == camera, fit[best], 0.0)
-        if of_view.max() > 0:
-            members.append(int(of_view.argmax()))
-    if len(members) < 2 or support[best] <= 0:
-        return None, ()
-    return best, tuple(members)
+def _members(
+    limbs: LimbRays, fit: Float[np.ndarray, "H N"]
+) -> tuple[Int[np.ndarray, "H V"], Float[np.ndarray, " H"]]:
+    """The long end of each view that fits each hypothesis best, -1 where none does; and the sum of how they fit."""
+    members, support = [], np.zeros(len(fit))
+    for camera in np.unique(limbs.camera):
+        own = np.flatnonzero(limbs.camera == camera)
+        best = own[fit[:, own].argmax(axis=1)]
+        value = fit[np.arange(len(fit)), best]
+        members.append(np.where(value > 0, best, -1))
+        support += value
+    return np.stack(members, axis=1), support
 
 
 def _arm(limbs, normal, members, direction, fit) -> Arm:

@@ -14,13 +14,16 @@ from jaxpoint.config.track import TrackSettings
 from jaxpoint.detect.arm import Crop
 from jaxpoint.person.arms import PointingArm, find_arm, find_arm_again
 from jaxpoint.person.continuity import with_neighbours
-from jaxpoint.person.views import CameraViews, head_found
+from jaxpoint.person.views import CameraViews, head_cut, head_found, head_inside
 from jaxpoint.tracking.result import Tracking
 from jaxpoint.tracking.tracker import track_heads
 
 HEAD_SIGMA = 0.07  # of its height, the error of a head's middle in one view
+CUT_HEAD_SIGMA = 0.15  # the same where much of it is outside the image
 Progress = Callable[[str, int, int], None]
 """Called with what is done, how much of it is done, and how much there is."""
+ARM_M = 1.0  # from a head, the farthest that its arm is seen
+NEAREST_M = 0.3  # as near to a camera as a head is taken to be
 INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
 
 
@@ -57,14 +60,16 @@ def follow(
     Raises:
         InsufficientDataError: fewer than two cameras.
     """
-    pixels, valid, sigma, index = _heads(views, len(times))
+    pixels, valid, sigma, doubtful, index = _heads(views, len(times))
 
     def tell(share: float) -> None:
         if progress:
             progress("heads", round(share * len(times)), len(times))
 
     settings = settings or TrackSettings()
-    tracking = track_heads(rig, pixels, valid, times, settings, sigma_px=sigma, frame_ids=frame_ids, progress=tell)
+    tracking = track_heads(
+        rig, pixels, valid, times, settings, sigma_px=sigma, doubtful=doubtful, frame_ids=frame_ids, progress=tell
+    )
     with jax.enable_x64(True):
         following = _with_sightings(rig, views, tracking, index)
         return _with_arms(rig, views, following, progress) if with_arms else following
@@ -77,6 +82,7 @@ def _with_sightings(
     heads = tracking.heads
     sightings = np.full(tracking.candidates.shape, -1)
     projected, depth = np.asarray(rig.project(heads.positions)), np.asarray(rig.depth(heads.positions))
+    reach = ARM_M * np.asarray(rig.cameras.focal).mean(axis=1) / np.maximum(depth, NEAREST_M)  # px
     for moment, person in np.argwhere(heads.present).tolist():
         place = projected[moment, person]
         sightings[moment, person] = [
@@ -85,6 +91,12 @@ def _with_sightings(
             else -1
             for c in range(len(views))
         ]
+    for moment, person, camera in np.argwhere((sightings < 0) & heads.present[..., None] & (depth > 0)).tolist():
+        others = sightings[moment, :, camera]
+        place = projected[moment, person, camera]
+        sightings[moment, person, camera] = _beside(
+            views[camera], moment, others, place, float(reach[moment, person, camera])
+        )
     return Following(tracking, sightings, {})
 
 
@@ -118,20 +130,26 @@ def _with_arms(
 
 
 def _heads(views: Sequence[CameraViews], moments: int):
-    """Candidates of heads as arrays (F, C, K): pixels, which there are, their errors (px), whose sighting each is."""
+    """Candidates of heads as arrays (F, C, K).
+
+    Pixels, which there are, their errors (px), which are doubtful, and whose sighting each is.
+    """
     most = max((int(np.bincount(view.moment).max(initial=1)) for view in views if len(view.moment)), default=1)
     pixels = np.zeros((moments, len(views), most, 2))
     valid = np.zeros((moments, len(views), most), bool)
     sigma = np.ones((moments, len(views), most))
+    doubtful = np.zeros((moments, len(views), most), bool)
     index = np.full((moments, len(views), most), -1)
     for camera, view in enumerate(views):
-        found = head_found(view)
+        found, whole = head_found(view), head_inside(view)
         place = np.arange(len(view.moment)) - np.searchsorted(view.moment, view.moment)
         pixels[view.moment, camera, place] = view.head
-        valid[view.moment, camera, place] = found
-        sigma[view.moment, camera, place] = np.maximum(1.0, HEAD_SIGMA * view.head_height)
+        valid[view.moment, camera, place] = found | head_cut(view)
+        relative = np.where(found, HEAD_SIGMA, CUT_HEAD_SIGMA)
+        sigma[view.moment, camera, place] = np.maximum(1.0, relative * view.head_height)
+        doubtful[view.moment, camera, place] = ~(found & whole)
         index[view.moment, camera, place] = np.arange(len(view.moment))
-    return pixels, valid, sigma, index
+    return pixels, valid, sigma, doubtful, index
 
 
 def _sighting(view: CameraViews, moment: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
@@ -145,3 +163,18 @@ def _sighting(view: CameraViews, moment: int, index: np.ndarray, used: int, head
         if x - margin <= head[0] <= x + width + margin and y - margin <= head[1] <= y + height:
             return sighting
     return -1
+
+
+def _beside(view: CameraViews, moment: int, others: np.ndarray, head: np.ndarray, reach: float) -> int:
+    """The nearest sighting of nobody else at the image's border, beyond which the head is: an arm that reaches in."""
+    size = np.array(view.size)
+    if ((head >= 0) & (head < size)).all():
+        return -1
+    best, least = -1, reach
+    for sighting in view.of(moment):
+        low, extent = view.box[sighting, :2], view.box[sighting, 2:]
+        cut = (low <= 0).any() or (low + extent >= size).any()
+        apart = float(np.linalg.norm(head - np.clip(head, low, low + extent)))
+        if cut and apart < least and sighting not in others:
+            best, least = sighting, apart
+    return best

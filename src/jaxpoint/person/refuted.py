@@ -24,13 +24,8 @@ def looks_past(
     """
     whole = np.all((places >= 0) & (places <= sizes[:, None] - 1), axis=(1, 2))
     return np.array(
-        [whole[c] and crop is not None and _on_person(crop, places[c]) < THROUGH for c, crop in enumerate(crops)]
+        [
+            whole[c] and crop is not None and np.mean(crop.at(places[c]) != Pixel.NOTHING) < THROUGH
+            for c, crop in enumerate(crops)
+        ]
     )
-
-
-def _on_person(crop: Crop, places: Float[np.ndarray, "S 2"]) -> float:
-    """Part of the places that lie on the person."""
-    inside = np.round(places).astype(int) - np.array(crop.corner)
-    held = ((inside >= 0) & (inside < crop.labels.shape[::-1])).all(axis=1)
-    x, y = inside[held].T
-    return float((crop.labels[y, x] != Pixel.NOTHING).sum() / len(places))

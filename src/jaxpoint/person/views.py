@@ -18,6 +18,8 @@ from jaxpoint.detect.person import FrameReason, Look, PersonWatch, Sighting
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import replacing
 
+HEAD_ASPECT = 0.78  # width of a head over its height
+OUTSIDE = 0.15  # of a head's width or height that may lie beyond the image's border
 FORMAT = 3  # of the kept files; higher whenever a detector gives other results
 
 
@@ -162,3 +164,15 @@ def load_views(path: Path) -> CameraViews:
 def head_found(views: CameraViews) -> Bool[np.ndarray, " S"]:
     """Sightings whose head was found."""
     return views.head_reason == HeadReason.FOUND
+
+
+def head_cut(views: CameraViews) -> Bool[np.ndarray, " S"]:
+    """Sightings whose head was found, but too much of it lies outside the image to trust its place."""
+    return views.head_reason == HeadReason.OUT_OF_VIEW
+
+
+def head_inside(views: CameraViews) -> Bool[np.ndarray, " S"]:
+    """Sightings whose head lies in the image but for a small part: what is cut by the border may be a shoulder."""
+    half = views.head_height[:, None] / 2 * np.array([HEAD_ASPECT, 1.0])
+    beyond = np.maximum(half - views.head, views.head + half - np.array(views.size))
+    return (beyond <= 2 * OUTSIDE * half).all(axis=1)

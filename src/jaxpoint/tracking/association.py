@@ -84,7 +84,7 @@ def associate(
     free = np.ones(len(predictions), bool)
     while len(rays):
         hypotheses = _hypotheses(rays, predictions, free, settings, bounds)
-        best = _best(_apart(hypotheses, places, settings))
+        best = _best(_apart(hypotheses, places, settings), rays)
         if best is None:
             break
         members = best.members[0]
@@ -109,12 +109,17 @@ def near_prediction(rays: Rays, predictions: Predictions, settings: TrackSetting
     return _deviation(rays, predictions.points, predictions.covariances) <= quantile(settings.gate, 2)
 
 
-def _best(hypotheses: Hypotheses) -> Hypotheses | None:
-    """The hypothesis to believe next, alone; none where all that is left are new heads of two views with rivals."""
+def _best(hypotheses: Hypotheses, rays: Rays) -> Hypotheses | None:
+    """The hypothesis to believe next, alone; none where all that is left are new heads of two views with rivals.
+
+    A new head has a ray that is not doubtful; what needs more doubtful rays than it does is no rival.
+    """
     members = hypotheses.members.astype(int)
     new = hypotheses.tracks < 0
-    rivals = (((members @ members.T) > 0) & new).sum(axis=1) - 1
-    clear = np.flatnonzero(~new | (hypotheses.views > 2) | (rivals == 0))
+    doubts = members @ rays.doubtful
+    rivals = (((members @ members.T) > 0) & new & (doubts <= doubts[:, None])).sum(axis=1) - 1
+    sure = (doubts < hypotheses.views) & ((hypotheses.views > 2) | (rivals == 0))
+    clear = np.flatnonzero(~new | sure)
     return hypotheses.select(clear[[np.argmax(hypotheses.score[clear])]]) if len(clear) else None
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 
 import jax
@@ -26,6 +26,7 @@ class Rays:
     origin: Float[np.ndarray, "M 3"]  # m
     direction: Float[np.ndarray, "M 3"]  # unit length
     sigma: Float[np.ndarray, " M"]  # rad, standard deviation in each of the two directions across
+    doubtful: Bool[np.ndarray, " M"]  # it may well be no head
 
     def __len__(self) -> int:
         """Number of candidates, M."""
@@ -34,7 +35,7 @@ class Rays:
     def without(self, taken: Bool[np.ndarray, " M"]) -> Rays:
         """Those that are still free."""
         kept = ~taken
-        return Rays(self.camera[kept], self.candidate[kept], self.origin[kept], self.direction[kept], self.sigma[kept])
+        return Rays(*(getattr(self, field.name)[kept] for field in fields(self)))
 
     @cached_property
     def axes(self) -> Float[np.ndarray, "M 2 3"]:
@@ -80,8 +81,10 @@ def rays_of_frames(
     pixels: Float[np.ndarray, "F C K 2"],
     valid: Bool[np.ndarray, "F C K"],
     sigma_px: Float[np.ndarray, "F C K"],
+    doubtful: Bool[np.ndarray, "F C K"] | None = None,
 ) -> list[Rays]:
     """The rays of each frame's valid candidates; those where the lens model has no ray are left out."""
+    doubtful = np.zeros(valid.shape, bool) if doubtful is None else doubtful
     safe = np.where(valid[..., None], pixels, np.asarray(rig.cameras.center)[:, None])
     positions, direction, sigma, known = map(np.asarray, look(rig.cameras, safe, sigma_px))
     usable = valid & known
@@ -89,5 +92,5 @@ def rays_of_frames(
     for frame in range(len(pixels)):
         camera, candidate = np.nonzero(usable[frame])
         place = frame, camera, candidate
-        found.append(Rays(camera, candidate, positions[camera], direction[place], sigma[place]))
+        found.append(Rays(camera, candidate, positions[camera], direction[place], sigma[place], doubtful[place]))
     return found

@@ -43,6 +43,7 @@ def step(
     settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "C K"] | None = None,
+    doubtful: Bool[np.ndarray, "C K"] | None = None,
     room: Float[np.ndarray, "2 3"] | None = None,
 ) -> tuple[TrackerState, FrameHeads]:
     """Follow the heads through one more frame; the arguments are those of `track_heads`, of one frame.
@@ -58,7 +59,8 @@ def step(
     _check(rig, pixels[None], valid[None], sigma[None], np.array([time]), 1)
     pixels, sigma = np.where(valid[..., None], pixels, 0.0), np.where(valid, sigma, 1.0)
     with jax.enable_x64(True):
-        rays = rays_of_frames(rig, pixels[None], valid[None], sigma[None])[0]
+        unsure = None if doubtful is None else doubtful[None]
+        rays = rays_of_frames(rig, pixels[None], valid[None], sigma[None], unsure)[0]
         return _step(state, rig, rays, (pixels, sigma), float(time), settings, _bounds(settings, room))
 
 
@@ -70,6 +72,7 @@ def track_heads(
     settings: TrackSettings | None = None,
     *,
     sigma_px: Float[np.ndarray, "F C K"] | None = None,
+    doubtful: Bool[np.ndarray, "F C K"] | None = None,
     frame_ids: Int[np.ndarray, " F"] | None = None,
     room: Float[np.ndarray, "2 3"] | None = None,
     progress: Callable[[float], None] | None = None,
@@ -83,6 +86,7 @@ def track_heads(
         times: s, rising.
         settings: noise, gates, and when a track begins and ends.
         sigma_px: standard deviation of each candidate's coordinates, px; `settings.sigma_px` where not given.
+        doubtful: candidates that may well be no heads: they join others, but never speak against them.
         frame_ids: numbers of the frames in the recording; 0, 1, ... if left out.
         room: lowest and highest corner of the room, m, if it is known.
         progress: called with the share of the frames done.
@@ -98,7 +102,7 @@ def track_heads(
     state, frames = TrackerState(), []
     with jax.enable_x64(True):
         bounds = _bounds(settings, room)
-        seen = Seen(rig, rays_of_frames(rig, pixels, valid, sigma), pixels, sigma, bounds)
+        seen = Seen(rig, rays_of_frames(rig, pixels, valid, sigma, doubtful), pixels, sigma, bounds)
         for frame, rays in enumerate(seen.rays):
             own = pixels[frame], sigma[frame]
             state, heads = _step(state, rig, rays, own, float(times[frame]), settings, bounds)
