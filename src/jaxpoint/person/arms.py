@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -26,7 +26,7 @@ from jaxpoint.detect.arm import (
 from jaxpoint.person.association import Arm, LimbRays, agreeing_views, associate, common_point, stretch
 from jaxpoint.person.promise import NEAREST_M, Promise, promise, rays_through, strips_axis
 from jaxpoint.person.refuted import looks_past
-from jaxpoint.person.signs import signs_of
+from jaxpoint.person.signs import Signs, signs_of
 from jaxpoint.pointing.axis import LimbAxis
 
 HEAD_M = 0.24  # height of a head
@@ -92,7 +92,7 @@ class PointingArm:
     axis: LimbAxis
     views: tuple[ArmView, ...]
     stretch: float  # m, how far the tip is from the body's upright axis
-    log_odds: float = 0.0  # that it is an arm that points, by its signs
+    signs: Signs | None = None  # of an arm that points, where it was found among a person's limbs
 
     @property
     def direction(self) -> Float[np.ndarray, "3"]:
@@ -138,11 +138,10 @@ class _Measured:
 def find_arm(
     rig: CameraRig, crops: Sequence[Crop | None], head: Float[np.ndarray, "3"], head_px: Float[np.ndarray, "C 2"]
 ) -> PointingArm | None:
-    """The arm with which a person points, by its signs; None where no two views agree on one that is like it.
+    """The arm with which a person points, by its signs; None where no limb is like one.
 
-    Limbs are measured in the order of their reach, until one is surely an arm that points.
-
-    Computes in the precision that JAX is set to; `follow` sets it to float64.
+    Limbs are measured in the order of their reach, until one is surely an arm that points. Computes in the precision
+    that JAX is set to; `follow` sets it to float64.
 
     Args:
         rig: the cameras.
@@ -150,21 +149,33 @@ def find_arm(
         head: centre of the head, m.
         head_px: the same in each image.
     """
+    best, most = None, LEAST
+    for limb in measured_limbs(rig, crops, head, head_px):
+        log_odds = limb.signs.log_odds if limb.signs is not None else LEAST
+        if log_odds > most:
+            best, most = limb, log_odds
+        if most > SURE:
+            break
+    return best
+
+
+def measured_limbs(
+    rig: CameraRig, crops: Sequence[Crop | None], head: Float[np.ndarray, "3"], head_px: Float[np.ndarray, "C 2"]
+) -> Iterator[PointingArm]:
+    """All limbs of a person that two views or more agree on and that do not hang, the farthest reaching first.
+
+    The arguments are those of `find_arm`.
+    """
     scene = _scene(rig, crops)
     limbs, cameras = _limbs(scene, head, head_px)
     arms = associate(_rays_of(scene, limbs, cameras), head)
     arms.sort(key=lambda arm: -stretch(arm.tip, head) - VIEW_M * arm.support)
-    best = None
     for arm in arms:
-        if stretch(arm.tip, head) < HANGS_M:
-            continue
-        own = {cameras[member]: limbs[member].tip for member in arm.members}
-        measured = _measured(scene, arm, own, head)
-        if measured is not None and (best is None or measured.log_odds > best.log_odds):
-            best = measured
-            if best.log_odds > SURE:
-                break
-    return best if best is not None and best.log_odds > LEAST else None
+        if stretch(arm.tip, head) >= HANGS_M:
+            own = {cameras[member]: limbs[member].tip for member in arm.members}
+            measured = _measured(scene, arm, own, head)
+            if measured is not None:
+                yield measured
 
 
 def find_arm_again(
@@ -266,7 +277,7 @@ def _measured(
     strips = [view.strip for view in views]
     forearm = float(span[0]), float(span[1] * ELBOW / SPAN[1])
     signs = signs_of(scene.rig, scene.crops, head, axis, tip, strips, forearm, past)
-    return PointingArm(tip, spread, axis, tuple(views), signs.stretch, signs.log_odds)
+    return PointingArm(tip, spread, axis, tuple(views), signs.stretch, signs)
 
 
 def _is_limb(tip: Float[np.ndarray, "3"], axis: LimbAxis) -> bool:

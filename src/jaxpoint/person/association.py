@@ -284,9 +284,7 @@ def _agreement(limbs, normal, inward, tips, directions) -> Float[np.ndarray, "H 
     return np.where(same & (along < 0), np.sqrt(near * flat), 0.0) * limbs.weight
 
 
-def _members(
-    limbs: LimbRays, fit: Float[np.ndarray, "H N"]
-) -> tuple[Int[np.ndarray, "H V"], Float[np.ndarray, " H"]]:
+def _members(limbs: LimbRays, fit: Float[np.ndarray, "H N"]) -> tuple[Int[np.ndarray, "H V"], Float[np.ndarray, " H"]]:
     """The long end of each view that fits each hypothesis best, -1 where none does; and the sum of how they fit."""
     members, support = [], np.zeros(len(fit))
     for camera in np.unique(limbs.camera):

@@ -175,4 +175,4 @@ def head_inside(views: CameraViews) -> Bool[np.ndarray, " S"]:
     """Sightings whose head lies in the image but for a small part: what is cut by the border may be a shoulder."""
     half = views.head_height[:, None] / 2 * np.array([HEAD_ASPECT, 1.0])
     beyond = np.maximum(half - views.head, views.head + half - np.array(views.size))
-    return (beyond <= 2 * OUTSIDE * half).all(axis=1)
+    return np.all(beyond <= 2 * OUTSIDE * half, axis=1)
