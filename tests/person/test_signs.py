@@ -67,7 +67,7 @@ def test_the_same_limb_the_other_way_round_is_no_arm_that_points(drawn):
 
 def test_without_colour_a_hand_says_nothing_of_skin(drawn):
     _, rig, crops, head = drawn
-    grey = [Crop(np.minimum(crop.labels, Pixel.PERSON), crop.corner, crop.image_size) for crop in crops]
+    grey = [Crop(np.minimum(crop.labels, np.uint8(Pixel.PERSON)), crop.corner, crop.image_size) for crop in crops]
     assert the_arm(limbs_of(rig, grey, head)).signs.skin == 0.6
 
 
