@@ -34,6 +34,7 @@ Progress = Callable[[str, int, int], None]
 """Called with what is being made, how much of it is done, and how much there is."""
 
 KEEP_FROM_CAMERA_M = 0.6  # nobody stands closer to a camera than that on the floor plan
+OVERHEAD_M = 2.3  # what begins higher is above everyone, arms included
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:
 
 def floor_of(scene: Scene, viewpoints: Sequence[Viewpoint] = ()) -> Floor:
     """The floor as people need it; nobody stands right before a camera."""
-    boxes = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes]
+    boxes = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes if low[2] < OVERHEAD_M]
     for view in viewpoints:
         boxes.append((*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0))
     door = float(scene.door[0]), float(scene.door[1])
