@@ -232,13 +232,8 @@ def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:
 
 def floor_of(scene: Scene, viewpoints: Sequence[Viewpoint] = ()) -> Floor:
     """The floor as people need it; nobody stands right before a camera."""
-    boxes = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes if low[2] < OVERHEAD_M]
-    for view in viewpoints:
-        boxes.append((*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0))
+    boxes = np.array([(*low[:2], *high[:2], high[2]) for low, high in scene.boxes if low[2] < OVERHEAD_M])
+    places = np.array([view.position[:2] for view in viewpoints]).reshape(-1, 2)
+    kept = np.hstack([places - KEEP_FROM_CAMERA_M, places + KEEP_FROM_CAMERA_M])
     door = float(scene.door[0]), float(scene.door[1])
-    return Floor(SIZE_M, [_floats(box) for box in boxes], scene.chairs, door)
-
-
-def _floats(box: Sequence[float]) -> tuple[float, float, float, float, float]:
-    x0, y0, x1, y1, height = map(float, box)
-    return x0, y0, x1, y1, height
+    return Floor(SIZE_M, boxes.tolist(), kept.tolist(), scene.chairs, door)
