@@ -1,6 +1,8 @@
 """The command line: exit codes, JSON, what is written, and what is not."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -373,6 +375,27 @@ def test_the_process_ends_with_the_code_of_its_command(monkeypatch, code, leave)
     with pytest.raises(SystemExit):
         command_line()
     assert left == [(leave, code)]
+
+
+def test_a_simulation_that_is_asked_to_end_leaves_nothing_hidden(tmp_path):
+    (tmp_path / "small.toml").write_text("[simulate.viewpoints]\ncameras = 1\nsize = [64, 36]")
+    code = """
+import os, signal, sys
+import jaxpoint.simulate.recording
+from jaxpoint.cli import command_line
+
+def asked_to_end(folder, *_, **__):
+    (folder / "begun").touch()
+    os.kill(os.getpid(), signal.SIGTERM)
+
+jaxpoint.simulate.recording.write_session = asked_to_end
+command_line()
+"""
+    command = [sys.executable, "-c", code, "simulate", "--config", "small.toml", "--out", "session"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 130
+    assert "interrupted; what was finished lies in" in done.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["session.unfinished", "small.toml"]
 
 
 @pytest.mark.parametrize("command", ["check", "calibrate"])

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import logging
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -81,7 +82,11 @@ INTERRUPTED = 130
 
 
 def command_line() -> NoReturn:
-    """What `jaxpoint` on the command line calls: run the command and exit with its code."""
+    """What `jaxpoint` on the command line calls: run the command and exit with its code.
+
+    A request to end (SIGTERM) is an interruption as Ctrl-C is, so that nothing half-written stays.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     code = main(sys.argv[1:])
     if code == INTERRUPTED:
         # Threads of an interrupted XLA compilation crash the interpreter's orderly shutdown.

@@ -1,16 +1,21 @@
 """What people do: on their feet, within the walls, past each other, and the same for the same seed."""
 
 from dataclasses import dataclass, replace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from jaxpoint.config.people import PeopleSettings, Uniform
+from jaxpoint.config.simulation import SceneSettings, ViewpointSettings
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.floor import Chair, Floor
 from jaxpoint.simulate.people.gait import TOES, Walk
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.people.stance import SitDown
+from jaxpoint.simulate.scene import make_scene
+from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.viewpoints import random_viewpoints
 
 TABLE, SEAT, SHELF = (2.2, 2.0, 3.6, 3.0, 0.75), (3.8, 2.3, 4.25, 2.75, 0.9), (0.0, 4.3, 1.5, 5.0, 2.0)
 ROOM = Floor(obstacles=[TABLE, SEAT, SHELF], chairs=[Chair(4.02, 2.52, 0.0)], door=(0.6, 0.6))
@@ -124,6 +129,21 @@ def test_everyone_enters_an_empty_room_points_and_leaves_by_the_door(session):
         for gesture in actor.gestures:
             assert gesture.person == actor.person.number
             assert actor.moves[0].start_s < gesture.first_s < gesture.last_s < actor.moves[-1].end_s
+
+
+@pytest.mark.parametrize("seed", [2, 26])  # in both the way from the door is narrow, in one nobody gets past the other
+def test_people_find_their_way_through_furnished_rooms(seed):
+    rngs = [np.random.default_rng([seed, 0, i]) for i in range(4)]
+    scene = make_scene(rngs[0], SceneSettings())
+    views = random_viewpoints(rngs[1], ViewpointSettings(), scene)
+    play = make_play(rngs[3], PeopleSettings(), cast(Any, scene.objects), floor_of(scene, views))
+    assert len(play.gestures) == PeopleSettings().gestures
+    tables = scene.boxes[(scene.boxes[:, 0, 2] < 1.0) & (scene.boxes[:, 1, 2] > 0.1)]
+    for actor in play.actors:
+        for walk in (move for move in actor.moves if isinstance(move, Walk)):
+            middle = walk.route.places[(walk.route.along > 0.6) & (walk.route.along < walk.route.length - 0.6)]
+            aside = np.maximum(tables[:, 0, :2] - middle[:, None], middle[:, None] - tables[:, 1, :2])
+            assert (np.linalg.norm(np.maximum(aside, 0.0), axis=2) > 0.2).all()
 
 
 def test_sitting_people_sit():

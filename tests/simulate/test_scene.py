@@ -66,6 +66,17 @@ def test_people_find_free_floor_before_chairs_and_away_from_cameras(scenes):
             assert not floor.is_free(view.position[None, :2], 0.1).any()
 
 
+def test_what_hangs_from_the_ceiling_is_in_nobodys_way(scenes):
+    for scene in scenes:
+        floor = floor_of(scene)
+        standing = scene.boxes[scene.boxes[:, 0, 2] < 2.5]
+        below = np.array([lamp.position[:2] for lamp in scene.lamps])
+        over = ((below[:, None] > standing[:, 0, :2] - 0.2) & (below[:, None] < standing[:, 1, :2] + 0.2)).all(axis=2)
+        assert len(standing) < len(scene.boxes)
+        assert not over.all()
+        assert floor.is_free(below[~over.any(axis=1)], 0.2).all()
+
+
 def test_cameras_look_at_the_room_through_the_lenses_asked_for(scenes):
     settings = ViewpointSettings()
     for seed, scene in enumerate(scenes):

@@ -116,7 +116,12 @@ class HoldSettings:
 
 @dataclass(frozen=True)
 class PointingSettings:
-    """The law of behaviour, kept apart from every estimator."""
+    """The law of behaviour, kept apart from every estimator.
+
+    Who means an object points at its middle. Where another named object hides that from the pointing eye, the middle of
+    the part that is seen is pointed at; an object of which hardly anything is seen is not meant, and who points at
+    nothing looks past every object. Furniture without a name hides nothing here.
+    """
 
     accurate: AccurateSettings = field(default_factory=AccurateSettings)
     approximate: ApproximateSettings = field(default_factory=ApproximateSettings)

@@ -160,7 +160,9 @@ def shelf_wall(room: Furnished, wall: Wall) -> float:
         builder.quad(row, textures.books(rng))
         if level == 3:
             room.name("row of books", "book", row, "books", "shelf")
-    room.name("bookshelf", "shelf", box_faces(center, size, wall.yaw)["front"], "books", "furniture")
+    # It is open: what stands in it lies before it.
+    back = wall.rectangle(left, height, width, height, out=depth - 0.07)
+    room.name("bookshelf", "shelf", back, "books", "furniture")
     card = wall.rectangle(left + 0.15, 0.04 + 3.75 * (height - 0.06) / levels, 0.14, 0.19, out=depth - 0.02)
     room.flat("postcard", "picture", card, textures.picture(rng), "photo")
     opening = rng.uniform(left + width + 0.7, wall.length - 1.2)

@@ -34,6 +34,7 @@ Progress = Callable[[str, int, int], None]
 """Called with what is being made, how much of it is done, and how much there is."""
 
 KEEP_FROM_CAMERA_M = 0.6  # nobody stands closer to a camera than that on the floor plan
+OVERHEAD_M = 2.3  # what begins higher is above everyone, arms included
 
 
 @dataclass(frozen=True)
@@ -231,13 +232,8 @@ def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:
 
 def floor_of(scene: Scene, viewpoints: Sequence[Viewpoint] = ()) -> Floor:
     """The floor as people need it; nobody stands right before a camera."""
-    boxes = [(*low[:2], *high[:2], high[2]) for low, high in scene.boxes]
-    for view in viewpoints:
-        boxes.append((*(view.position[:2] - KEEP_FROM_CAMERA_M), *(view.position[:2] + KEEP_FROM_CAMERA_M), 0.0))
+    boxes = np.array([(*low[:2], *high[:2], high[2]) for low, high in scene.boxes if low[2] < OVERHEAD_M])
+    places = np.array([view.position[:2] for view in viewpoints]).reshape(-1, 2)
+    kept = np.hstack([places - KEEP_FROM_CAMERA_M, places + KEEP_FROM_CAMERA_M])
     door = float(scene.door[0]), float(scene.door[1])
-    return Floor(SIZE_M, [_floats(box) for box in boxes], scene.chairs, door)
-
-
-def _floats(box: Sequence[float]) -> tuple[float, float, float, float, float]:
-    x0, y0, x1, y1, height = map(float, box)
-    return x0, y0, x1, y1, height
+    return Floor(SIZE_M, boxes.tolist(), kept.tolist(), scene.chairs, door)

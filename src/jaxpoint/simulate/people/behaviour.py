@@ -2,7 +2,8 @@
 
 Accurate pointing (thesis 7.1) puts the dominant eye, the fingertip and the target in line; the arm's own line then
 rises above it, because the shoulder lies below the eye. Approximate pointing sends the bent arm roughly to the target:
-a person's own mean error of the forearm's axis in elevation and azimuth, and scatter from trial to trial.
+a person's own mean error of the forearm's axis in elevation and azimuth, and scatter from trial to trial. Both point at
+what the pointing eye sees (`planning`, `sight`).
 
 Everything here is drawn from `config.people.PointingSettings`; nothing is taken from any detector or estimator.
 """

@@ -36,14 +36,17 @@ class Floor:
     size_m: tuple[float, float, float] = (6.0, 5.0, 3.0)
     obstacles: Sequence[tuple[float, float, float, float, float]] = ()
     """x and y of two opposite corners, and height: furniture, chairs too (m)."""
+    kept_clear: Sequence[tuple[float, float, float, float]] = ()
+    """x and y of two opposite corners: where nobody stands, though one may walk there (m)."""
     chairs: Sequence[Chair] = field(default_factory=tuple)
     door: tuple[float, float] | None = None
     """A place just inside the door, where people appear and vanish; without one, somewhere near a wall."""
 
     def is_free(self, places: Float[np.ndarray, "N 2"], margin: float) -> Bool[np.ndarray, " N"]:
-        """Whether each place (x, y) is at least `margin` m away from every wall and obstacle."""
+        """Whether each place (x, y) is at least `margin` m away from every wall, obstacle, and floor kept clear."""
         inside = np.all((places >= margin) & (places <= np.array(self.size_m[:2]) - margin), axis=1)
-        low, high = self._boxes[:, 0, :2], self._boxes[:, 1, :2]
+        kept = np.sort(np.array(self.kept_clear, float).reshape(-1, 2, 2), axis=1)
+        low, high = np.concatenate([self._boxes[:, :, :2], kept]).swapaxes(0, 1)
         away = np.maximum(np.maximum(low - places[:, None], places[:, None] - high), 0.0)
         return inside & np.all((away**2).sum(axis=2) >= margin**2, axis=1)
 
@@ -74,6 +77,10 @@ class Floor:
         """The same without the furniture that stands over a place: a seat, for who sits on it."""
         over = np.all((place[:2] > self._boxes[:, 0, :2]) & (place[:2] < self._boxes[:, 1, :2]), axis=1)
         return replace(self, obstacles=[box for box, taken in zip(self.obstacles, over) if not taken])
+
+    def to_walk_through(self) -> Floor:
+        """The same with nothing kept clear."""
+        return replace(self, kept_clear=())
 
     @cached_property
     def _boxes(self) -> Float[np.ndarray, "B 2 3"]:

@@ -60,7 +60,7 @@ def stand_and_point(
             continue
         yaw = float(np.arctan2(away[1], away[0]) + np.deg2rad(draw(rng, settings.turn_deg)))
         stance = standing(performer.person.proportions, where, yaw)
-        gesture = plan_gesture(rng, performer, stance, target, first_s, room, settings.pointing)
+        gesture = plan_gesture(rng, performer, stance, target, first_s, objects, room, settings.pointing)
         if gesture is not None:
             return gesture, stance
     raise ValueError(

@@ -97,7 +97,7 @@ class Itinerary:
                 continue
             yaw = float(np.arctan2(away[1], away[0]) + np.deg2rad(draw(rng, settings.turn_deg)))
             stance = self.stance if self.seat else standing(self.performer.person.proportions, self.place, yaw)
-            gesture = plan_gesture(rng, self.performer, stance, target, 0.0, room, settings.pointing)
+            gesture = plan_gesture(rng, self.performer, stance, target, 0.0, objects, room, settings.pointing)
             if gesture is None:
                 continue
             if self.seat is None:

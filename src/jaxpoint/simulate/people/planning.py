@@ -16,6 +16,7 @@ from jaxpoint.simulate.people.person import Person, Side, draw_person
 from jaxpoint.simulate.people.pose import ArmPose, Pose
 from jaxpoint.simulate.people.rest import resting
 from jaxpoint.simulate.people.rotations import Vector, wrapped, yawed
+from jaxpoint.simulate.people.sight import Corners, is_hidden, seen_place
 from jaxpoint.simulate.people.skeleton import SIDES, head_frame, place, shoulder_of, thorax_frame
 from jaxpoint.simulate.people.stance import Stance
 from jaxpoint.simulate.people.trunk import eyes
@@ -30,10 +31,11 @@ BEFORE_CHEST = 0.11  # of stature: how far before the spine a pointing wrist is 
 
 @dataclass(frozen=True)
 class Target:
-    """Where a gesture points."""
+    """What a gesture points at."""
 
     name: str
-    place: Vector
+    place: Vector  # m, the middle of an object
+    corners: Corners | None = None  # m, of an object
 
 
 @dataclass(frozen=True)
@@ -53,10 +55,11 @@ class Performer:
 
 
 def draw_target(rng: np.random.Generator, settings: PeopleSettings, objects: Sequence, room: Floor) -> Target:
-    """An object's centre, or a place on wall, floor or ceiling where no object is."""
+    """An object, or a place on wall, floor or ceiling where no object is."""
     if objects and rng.random() >= settings.nothing:
         chosen = objects[int(rng.integers(len(objects)))]
-        return Target(chosen.name, np.asarray(chosen.corners, float).mean(axis=0))
+        corners = np.asarray(chosen.corners, float)
+        return Target(chosen.name, corners.mean(axis=0), corners)
     centers = np.array([np.asarray(thing.corners, float).mean(axis=0) for thing in objects]).reshape(-1, 3)
     reach = np.array([np.linalg.norm(np.ptp(np.asarray(t.corners, float), axis=0)) / 2 for t in objects])
     size = np.array(room.size_m)
@@ -75,21 +78,24 @@ def plan_gesture(
     stance: Stance,
     target: Target,
     first_s: float,
+    objects: Sequence,
     room: Floor,
     settings: PointingSettings,
 ) -> Gesture | None:
-    """A gesture from this stance, or None where the body cannot make it or would reach into wall or furniture."""
+    """A gesture from this stance at what the person sees of the target.
+
+    None where that is hardly anything, or where the body cannot make the gesture or would reach into wall or furniture.
+    """
     habit, person = performer.habit, performer.person
-    twist = _twist(habit, stance, target.place)
-    if twist is None:
+    faced = _facing(performer, stance, target, objects)
+    if faced is None:
         return None
+    place, pose, stand = faced
     trial = draw_trial(rng, habit, settings)
-    pose = _raised(performer, stance, twist, target.place)
-    stand = _stand(person, habit, pose)
-    seen = target.place - stand.shoulder
-    if np.arctan2(abs(seen[2]), np.hypot(seen[0], seen[1])) > STEEPEST or seen @ seen < NEAREST_M**2:
+    away = place - stand.shoulder
+    if np.arctan2(abs(away[2]), np.hypot(away[0], away[1])) > STEEPEST or away @ away < NEAREST_M**2:
         return None
-    arm = aim(person, habit, trial, stand, target.place)
+    arm = aim(person, habit, trial, stand, place)
     if arm is None or not _is_possible(person, habit.hand, pose, arm, room.without(stance.pelvis)):
         return None
     up, hold, down = draw_times(rng, settings.hold)
@@ -103,11 +109,35 @@ def plan_gesture(
         hand=habit.hand,
         law=habit.law,
         target=target.name,
-        target_m=target.place,
+        target_m=place,
         aim=arm,
-        twist=twist,
+        twist=pose.twist,
         tremor=draw_tremor(rng, person, settings.hold),
     )
+
+
+def _facing(
+    performer: Performer, stance: Stance, target: Target, objects: Sequence
+) -> tuple[Vector, Pose, Stand] | None:
+    """The place at which the pointing eye sees the target, and the body turned there, but for the arm.
+
+    None where the body does not turn so far, or where other objects hide the target.
+    """
+    others = np.array([np.asarray(o.corners, float) for o in objects if o.name != target.name]).reshape(-1, 4, 3)
+    place = target.place
+    for _ in range(2):  # whoever looks at another place moves the eye
+        twist = _twist(performer.habit, stance, place)
+        if twist is None:
+            return None
+        pose = _raised(performer, stance, twist, place)
+        stand = _stand(performer.person, performer.habit, pose)
+        if not is_hidden(stand.eye, place[None], others)[0]:
+            return place, pose, stand
+        seen = None if target.corners is None else seen_place(stand.eye, target.corners, others)
+        if seen is None:
+            return None
+        place = seen
+    return None
 
 
 def _twist(habit: Habit, stance: Stance, target: Vector) -> float | None:

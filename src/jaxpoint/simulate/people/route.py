@@ -14,7 +14,8 @@ from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.rotations import Vector
 
 GRID_M = 0.1
-CLEAR_M = 0.33  # the route keeps this far from walls and furniture
+CLEAR_M = 0.33  # the route keeps this far from walls and furniture,
+NARROW_M = 0.3  # or where there is no other way this far
 STEP_M = 0.02
 Place = Float[np.ndarray, " N"]  # x, y, and perhaps a height, which is not looked at
 ROUND_M = 0.18  # standard deviation of the filter that rounds corners
@@ -43,11 +44,17 @@ class Route:
 
 
 def find_route(room: Floor, start: Vector, end: Vector) -> Route | None:
-    """The way from one place on the floor to another; None where furniture leaves none."""
-    corners = _straight(room, start, end)
-    if corners is None:
-        corners = _around(room, start, end)
-    return None if corners is None else _rounded(corners)
+    """The way from one place on the floor to another; None where furniture leaves none.
+
+    It crosses what is kept clear, and squeezes past furniture, only where there is no other.
+    """
+    for floor, clear in ((room, CLEAR_M), (room.to_walk_through(), NARROW_M)):
+        corners = _straight(floor, start, end, clear)
+        if corners is None:
+            corners = _around(floor, start, end, clear)
+        if corners is not None:
+            return _rounded(corners)
+    return None
 
 
 def line_route(start: Vector, end: Vector) -> Route:
@@ -55,20 +62,20 @@ def line_route(start: Vector, end: Vector) -> Route:
     return _rounded(np.stack([start[:2], end[:2]]))
 
 
-def _straight(room: Floor, start: Place, end: Place) -> np.ndarray | None:
+def _straight(room: Floor, start: Place, end: Place, clear: float) -> np.ndarray | None:
     """Both ends, if nothing stands between them; the ends themselves may be close to a chair or a door."""
     steps = max(int(np.linalg.norm(end[:2] - start[:2]) / 0.05), 2)
     between = start[:2] + np.linspace(0.0, 1.0, steps)[1:-1, None] * (end[:2] - start[:2])
     away = np.minimum(np.linalg.norm(between - start[:2], axis=1), np.linalg.norm(between - end[:2], axis=1))
-    free = room.is_free(between, CLEAR_M) | (away < CLEAR_M)
+    free = room.is_free(between, clear) | (away < clear)
     return np.stack([start[:2], end[:2]]) if free.all() else None
 
 
-def _around(room: Floor, start: Vector, end: Vector) -> np.ndarray | None:
+def _around(room: Floor, start: Vector, end: Vector, clear: float) -> np.ndarray | None:
     """Corners of the shortest way over free grid places, each as far along as can be seen from the one before."""
     shape = (np.array(room.size_m[:2]) / GRID_M).astype(int) + 1
     grid = np.stack(np.meshgrid(*(np.arange(n) * GRID_M for n in shape), indexing="ij"), -1)
-    free = room.is_free(grid.reshape(-1, 2), CLEAR_M).reshape(tuple(shape))
+    free = room.is_free(grid.reshape(-1, 2), clear).reshape(tuple(shape))
     places = grid.reshape(-1, 2)
     open_places = np.flatnonzero(free.ravel())
     if not len(open_places):
@@ -81,7 +88,7 @@ def _around(room: Floor, start: Vector, end: Vector) -> np.ndarray | None:
     while way[-1] != first:
         way.append(int(before[way[-1]]))
     full = np.concatenate([start[None, :2], places[way[::-1]], end[None, :2]])
-    return _pulled(room, full)
+    return _pulled(room, full, clear)
 
 
 def _links(free: np.ndarray) -> coo_array:
@@ -99,11 +106,11 @@ def _links(free: np.ndarray) -> coo_array:
     return coo_array((np.tile(c, 2), (np.concatenate([a, b]), np.concatenate([b, a]))), shape=(free.size, free.size))
 
 
-def _pulled(room: Floor, way: np.ndarray) -> np.ndarray:
+def _pulled(room: Floor, way: np.ndarray, clear: float) -> np.ndarray:
     corners, here = [way[0]], 0
     while here < len(way) - 1:
         ahead = range(len(way) - 1, here, -1)
-        here = next((i for i in ahead if _straight(room, way[here], way[i]) is not None), here + 1)
+        here = next((i for i in ahead if _straight(room, way[here], way[i], clear) is not None), here + 1)
         corners.append(way[here])
     return np.array(corners)
 

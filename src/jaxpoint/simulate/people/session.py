@@ -18,6 +18,8 @@ from jaxpoint.simulate.people.rotations import Vector
 from jaxpoint.simulate.people.stance import before_seat
 
 ATTEMPTS = 60
+PROMPT = 20  # of them in which people enter soon after one another; after each further one
+PATIENCE_S = 2.0  # whoever cannot keep clear of the others waits so much longer for them to leave
 APART_M = 0.65  # between the middles of two people, at every moment
 CHECKED_S = 0.2
 STAND_M = 0.22  # free floor around who stands before a chair
@@ -41,14 +43,15 @@ def session(
 def _part(rng, number, gestures, settings: PeopleSettings, objects, room: Floor, others: list[Actor]) -> Actor:
     """One person's part, drawn again until it fits the others'."""
     performer = Performer.drawn(rng, number, settings)
-    for _ in range(ATTEMPTS):
-        start = settings.empty_s + number * rng.uniform(1.0, 4.0)
+    for attempt in range(ATTEMPTS):
+        waits = PATIENCE_S * max(attempt - PROMPT, 0)
+        start = settings.empty_s + number * (rng.uniform(1.0, 4.0) + waits)
         actor = _drawn_part(rng, performer, gestures, settings, objects, room, start)
         if actor is not None and all(keep_apart(actor, other, APART_M) for other in others):
             return actor
     raise ValueError(
         f"In {ATTEMPTS} attempts no part was found for person {number} ({gestures} gestures) that keeps clear of "
-        f"{len(others)} others; ask for fewer people, or give the room more free floor."
+        f"{len(others)} others; take another seed, ask for fewer people, or give the room more free floor."
     )
 
 
