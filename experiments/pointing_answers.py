@@ -6,9 +6,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.answer.answers import NOTHING, SHARPER, Scene, answers
+from jaxpoint.answer.answers import NOTHING, SHARPER, Answer, Scene, answers
 from jaxpoint.answer.holds import Hold
-from jaxpoint.answer.hypotheses import correction_of, hypotheses
+from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
 from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.bias.bias import Bias
@@ -21,6 +21,7 @@ from jaxpoint.pointing.objects import Objects, Rectangle, Thing
 from jaxpoint.pointing.room import Room
 
 LINES = KINDS[:2]  # forearm and finger
+NOT_FOUND = {"name": None, "probability": 0.0, "error_deg": None, "line": None, "second": None}
 MIRROR = np.array([1.0, -1.0, 1.0])
 
 
@@ -50,34 +51,42 @@ def answers_of(session: dict, model: Bias, sharper: float = SHARPER) -> list[dic
     things = [Thing(t["name"], Rectangle(np.array(t["corners"])), t["kind"]) for t in session["objects"]]
     centres = np.array([np.mean(t["corners"], axis=0) for t in session["objects"]])
     scene = Scene(Objects.of(things), centres, Room(np.zeros(3), np.array(session["room"])), True)
-    rows = []
-    for gesture in session["gestures"]:
-        row = {key: gesture[key] for key in ("seed", "gesture", "person", "law", "target", "found", "views")}
-        for mode, correction in (("raw", None), ("with the model", correction_of(model))):
-            row[mode] = _answered(gesture, scene, correction, sharper)
-        row["thesis"] = _thesis(gesture, scene)
-        rows.append(row)
+    keys = ("seed", "gesture", "person", "law", "target", "found", "views")
+    rows = [
+        {key: gesture[key] for key in keys} | {"thesis": _thesis(gesture, scene)} for gesture in session["gestures"]
+    ]
+    for mode, correction in (("raw", None), ("with the model", correction_of(model))):
+        for row, answer in zip(rows, _answered(session["gestures"], scene, correction, sharper), strict=True):
+            row[mode] = answer
     return rows
 
 
-def _answered(gesture: dict, scene: Scene, correction, sharper: float) -> dict:
-    if not gesture["found"]:
-        return {"name": None, "probability": 0.0, "error_deg": None, "line": None, "second": None}
-    covariance = jnp.asarray(gesture["covariance"])[None]
-    joints = Joints.of_flat(np.array(gesture["joints"])[None])
-    held = HeldJoints(joints, covariance, jnp.zeros_like(covariance), np.zeros(1, int))
-    times = np.array([gesture["start_s"], gesture["end_s"]])
-    hold = Hold(0, np.arange(2), times, gesture["views"])
-    ways = hypotheses(held, "auto", None, correction)
-    (answer,) = answers([hold], held, ways, scene, [1], [0], sharper=sharper)
-    error = _off_deg(answer.origin, answer.direction, gesture)
-    second = answer.probabilities[1][0] if len(answer.probabilities) > 1 else None
+def _answered(gestures: list[dict], scene: Scene, correction: Correction | None, sharper: float) -> list[dict]:
+    """Of each gesture the answer; those that were found are answered together, as `jaxpoint point` does."""
+    given = [gesture for gesture in gestures if gesture["found"]]
+    told = []
+    if given:
+        covariance = jnp.asarray([gesture["covariance"] for gesture in given])
+        joints = Joints.of_flat(np.array([gesture["joints"] for gesture in given]))
+        held = HeldJoints(joints, covariance, jnp.zeros_like(covariance), np.zeros(len(given), int))
+        people = sorted({gesture["person"] for gesture in given})
+        holds = [
+            Hold(people.index(g["person"]), np.arange(2), np.array([g["start_s"], g["end_s"]]), g["views"])
+            for g in given
+        ]
+        ways = hypotheses(held, "auto", None, correction)
+        told = answers(holds, held, ways, scene, range(len(people)), [0] * len(given), sharper=sharper)
+    found = iter(told)
+    return [_shown(gesture, next(found)) if gesture["found"] else NOT_FOUND for gesture in gestures]
+
+
+def _shown(gesture: dict, answer: Answer) -> dict:
     return {
         "name": answer.name,
         "probability": answer.probability,
-        "error_deg": error,
+        "error_deg": _off_deg(answer.origin, answer.direction, gesture),
         "line": answer.line,
-        "second": second,
+        "second": answer.probabilities[1][0] if len(answer.probabilities) > 1 else None,
     }
 
 

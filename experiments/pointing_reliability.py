@@ -2,9 +2,11 @@
 
 No image is drawn: joints are the simulator's, with the errors that pixels leave (head 8 mm, wrist 3, elbow and tip 4
 per axis). So no arm is missed and none is another limb's, which `pointing_evaluation.py` counts. Powers to which the
-probabilities are raised are held beside each other; `jaxpoint.answer.answers.SHARPER` was chosen on these seeds.
+probabilities are raised are held beside each other; `jaxpoint.answer.answers.SHARPER` was chosen on these seeds. Who
+points several times (--each) tells by them with which eye.
 
-    python experiments/pointing_reliability.py --powers 1 1.4
+    python experiments/pointing_reliability.py --powers 1 1.3
+    python experiments/pointing_reliability.py --powers 1 1.3 --each 4 --seeds 500 520
 """
 
 from __future__ import annotations
@@ -33,17 +35,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs=2, type=int, default=(500, 540), metavar=("FIRST", "END"))
     parser.add_argument("--powers", nargs="+", type=float, default=(1.0, 1.2, 1.4, 1.6))
+    parser.add_argument("--each", type=int, default=1, help="gestures of one person")
     args = parser.parse_args()
     with jax.enable_x64(True):
-        sessions = [drawn(seed) for seed in range(*args.seeds)]
+        sessions = [drawn(seed, args.each) for seed in range(*args.seeds)]
         for power in args.powers:
             print(f"## Power {power:g}\n\n{summary(answered(sessions, sharper=power))}", flush=True)
 
 
-def drawn(seed: int) -> dict:
+def drawn(seed: int, each: int = 1) -> dict:
     """A room and its people as `scored_sessions.py` keeps them from pixels."""
     setting, rng = Setting.drawn(seed, OBJECTS), np.random.default_rng([seed, 4])
-    people = PeopleSettings(play="gestures", people=PEOPLE, gestures=PEOPLE, pointing=PointingSettings())
+    people = PeopleSettings(play="gestures", people=PEOPLE, gestures=PEOPLE * each, pointing=PointingSettings())
     floor = floor_of(setting.scene, setting.viewpoints)
     play = make_play(np.random.default_rng([seed, 3]), people, cast(Any, setting.things), floor)
     gestures = [_measured(actor, gesture, seed, rng) for actor in play.actors for gesture in actor.gestures]

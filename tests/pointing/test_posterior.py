@@ -207,6 +207,30 @@ def test_what_is_hidden_counts_less_and_doubt_is_told():
     assert float(beyond.nothing) > 0.99
 
 
+def test_the_density_of_a_line_is_that_of_one_object_and_of_none():
+    """Of a small object square to the line, whose mass scipy knows and whose solid angle is its area."""
+    wide, high = 0.06, 0.03
+    behind = Thing("behind", facing(0, 0, 0.2, 0.2, -1.0))
+    objects = Objects.of([Thing("card", facing(0.02, -0.01, wide, high)), behind])
+    found = posterior(line(), objects, Behaviour(*SPREAD, nothing=0.2))
+    low, top = np.array([0.02 - wide / 2, -0.01 - high / 2]), np.array([0.02 + wide / 2, -0.01 + high / 2])
+    mass = multivariate_t(shape=np.diag(SPREAD**2), df=4).cdf(top, lower_limit=low, random_state=0)
+    card, none = 0.8 / 2 * mass / (wide * high), 0.2 * (1 - mass) / (2 * np.pi)
+    assert float(found.marginal) == pytest.approx(card + none, rel=3e-3)
+    assert float(found.nothing * found.marginal) == pytest.approx(none, rel=3e-3)
+
+
+def test_lines_may_have_a_behaviour_each():
+    objects = Objects.of([Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0.1, 0, 0.2, 0.2, 2.0))])
+    one, other = Behaviour(*SPREAD), Behaviour(0.02, 0.03, nothing=0.3, hidden=0.6)
+    both = jax.tree.map(lambda *leaves: jnp.stack(leaves), one, other)
+    lines = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), line())
+    found, alone = posterior(lines, objects, both), [posterior(line(), objects, own) for own in (one, other)]
+    np.testing.assert_allclose(found.probability, [own.probability for own in alone], rtol=1e-12)
+    np.testing.assert_allclose(found.nothing, [own.nothing for own in alone], rtol=1e-12)
+    assert float(found.nothing[0] / found.nothing[1]) > 1.5
+
+
 def test_large_objects_are_meant_more_often_where_the_prior_says_so():
     listed = [Thing("small", facing(0, 0, 0.02, 0.02, 1.0)), Thing("large", facing(0, 0, 0.4, 0.4, 1.01))]
     objects = Objects.of(listed)

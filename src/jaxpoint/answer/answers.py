@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
+from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxpoint.answer.eyes import learnt_eyes
 from jaxpoint.answer.holds import Hold
 from jaxpoint.answer.hypotheses import Hypothesis
 from jaxpoint.answer.lines import HeldJoints
@@ -28,7 +30,7 @@ WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, o
 WRONG_OF_MORE = 0.02
 # By the lines' distributions alone answers are right more often than they say; this power makes both agree and changes
 # no order (`experiments/pointing_reliability.py`).
-SHARPER = 1.4
+SHARPER = 1.3
 JOINTS = ("head", "eye", "shoulder", "elbow", "wrist", "tip")
 SHOWN = 0.005  # smallest probability that is told
 
@@ -122,9 +124,8 @@ def answers(
         known_errors: the calibration says how wrong it may be.
         sharper: the power to which probabilities are raised; 1 leaves them as the lines' distributions have them.
     """
-    found = [posterior(way.lines, scene.objects, way.behaviour, evidence=evidence) for way in ways]
-    each = np.stack([np.column_stack([f.probability, f.nothing]) for f in found])  # ways, gestures, K + 1
-    weight = np.stack([way.weight for way in ways])[..., None]
+    each, marginal = _by_way(ways, scene.objects, evidence)
+    weight = learnt_eyes(ways, marginal, [hold.person for hold in holds])[..., None]
     right = (weight * each).sum(axis=0) ** sharper
     right /= right.sum(axis=1, keepdims=True)
     wrong = np.array([WRONG_OF_TWO_VIEWS if hold.views <= 2 else WRONG_OF_MORE for hold in holds])[:, None]
@@ -133,13 +134,40 @@ def answers(
     best = chance.argmax(axis=1)
     # The way whose share in the winning answer is largest is the one that is shown.
     way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
-    measured = _measured(ways, scene)
+    shown = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], ways[k].lines.ray) for i, k in enumerate(way_of)]
+    measured = _measured(shown, scene)
     said = list(words) or [()] * len(holds)
     given = _Given(held, scene, people, frames, known_errors)
     return [
-        _answer(i, hold, given, ways[way_of[i]], measured[way_of[i]], chance[i], said[i])
+        _answer(i, hold, given, ways[way_of[i]], jax.tree.map(itemgetter(i), measured), chance[i], said[i])
         for i, hold in enumerate(holds)
     ]
+
+
+def _by_way(
+    ways: Sequence[Hypothesis], objects: Objects, evidence: Float[np.ndarray, "G K"] | None
+) -> tuple[Float[np.ndarray, "W G answers"], Float[np.ndarray, "W G"]]:
+    """Probabilities of all objects and of nothing by each way, and the density of each way's lines.
+
+    Ways whose behaviours are of one structure are asked in one call, which costs more than a few lines do.
+    """
+    count = len(ways[0].weight)
+    each, marginal = np.zeros((len(ways), count, len(objects) + 1)), np.zeros((len(ways), count))
+    alike: dict[Any, list[int]] = {}
+    for i, way in enumerate(ways):
+        alike.setdefault(jax.tree.structure(way.behaviour), []).append(i)
+    for places in alike.values():
+        asked = [
+            (ways[i].lines, jax.tree.map(partial(np.broadcast_to, shape=count), ways[i].behaviour)) for i in places
+        ]
+        lines, behaviour = jax.tree.map(lambda *leaves: np.concatenate(leaves), *asked)
+        told = None if evidence is None else np.tile(evidence, (len(places), 1))
+        found = posterior(lines, objects, behaviour, evidence=told)
+        each[places, :, :-1] = np.reshape(found.probability, (len(places), count, -1))
+        each[places, :, -1], marginal[places] = (
+            np.reshape(part, (len(places), count)) for part in (found.nothing, found.marginal)
+        )
+    return each, marginal
 
 
 @dataclass(frozen=True)
@@ -153,12 +181,11 @@ class _Given:
     known_errors: bool
 
 
-def _measured(ways: Sequence[Hypothesis], scene: Scene) -> list[tuple[Hits, Nearest, RoomPoint]]:
-    """Of each way hits, the three nearest, and the end in the room, of all gestures: in numpy, to be read singly."""
-    rays = jax.tree.map(lambda *leaves: np.stack(leaves), *(way.lines.ray for way in ways))
+def _measured(shown: Sequence[Ray], scene: Scene) -> tuple[Hits, Nearest, RoomPoint]:
+    """Hits, the three nearest, and the end in the room, of the line of each gesture: in numpy, to be read singly."""
+    rays = jax.tree.map(lambda *leaves: np.stack(leaves), *shown)
     found = over_lines(partial(_met, scene.objects.shapes, len(scene.objects), scene.room), rays)
-    found = jax.tree.map(np.asarray, found)
-    return [jax.tree.map(itemgetter(i), found) for i in range(len(ways))]
+    return jax.tree.map(np.asarray, found)
 
 
 @partial(jit, static_argnames="count")
@@ -172,7 +199,7 @@ def _answer(
     hold: Hold,
     given: _Given,
     way: Hypothesis,
-    measured,
+    measured: tuple[Hits, Nearest, RoomPoint],
     chance: Float[np.ndarray, " answers"],
     words: Sequence[str],
 ) -> Answer:
@@ -181,11 +208,10 @@ def _answer(
     names = (*scene.objects.names, NOTHING)
     order = np.argsort(-chance, kind="stable")
     hits = tuple(
-        Place(names[int(hit.object[i, j])], float(hit.distance[i, j]), np.asarray(hit.point[i, j]))
-        for j in np.flatnonzero(np.asarray(hit.valid[i]))
+        Place(names[int(hit.object[j])], float(hit.distance[j]), np.asarray(hit.point[j]))
+        for j in np.flatnonzero(hit.valid)
     )
-    inside = bool(end.inside[i])
-    surface = Place(SURFACES[int(end.surface[i])], float(end.distance[i]), np.asarray(end.point[i])) if inside else None
+    surface = Place(SURFACES[int(end.surface)], float(end.distance), np.asarray(end.point)) if end.inside else None
     origin, name = np.asarray(way.lines.ray.origin)[i], names[order[0]]
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     return Answer(
@@ -205,8 +231,7 @@ def _answer(
         hits=hits,
         surface=surface,
         nearest=tuple(
-            (names[int(close.object[i, j])], float(np.degrees(close.measure[i, j])))
-            for j in np.flatnonzero(np.asarray(close.valid[i]))
+            (names[int(close.object[j])], float(np.degrees(close.measure[j]))) for j in np.flatnonzero(close.valid)
         ),
         probabilities=told,
         ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import cast
 
 import equinox as eqx
@@ -58,6 +58,7 @@ class Hypothesis:
     weight: Float[np.ndarray, " G"]  # its probability before the objects are looked at
     behaviour: Behaviour
     by_calibration: Float[np.ndarray, "G 3 3"]  # the calibration's part of the direction's covariance
+    aims: bool = False  # with one of the two eyes that are weighed
 
 
 def hypotheses(
@@ -81,13 +82,17 @@ def hypotheses(
     draw = partial(_all_ways, kind, chosen, correction)
     found = over_lines(draw, held.joints, held.covariance, held.calibration)
     return [
-        Hypothesis(name, lines, np.asarray(weight), _behaviour(name, correction), np.asarray(own))
+        Hypothesis(name, lines, np.asarray(weight), _behaviour(name, correction), np.asarray(own), _aims(kind, name))
         for name, (lines, own, weight) in zip(_names(kind), found, strict=True)
     ]
 
 
 def _names(kind: str) -> tuple[str, ...]:
     return ("eye-fingertip", "eye-fingertip", "forearm") if kind == "auto" else (kind,)
+
+
+def _aims(kind: str, name: str) -> bool:
+    return kind == "auto" and name == "eye-fingertip"
 
 
 def _behaviour(name: str, correction: Correction | None) -> Behaviour:
@@ -144,6 +149,12 @@ def correction_of(bias: Bias) -> Correction:
 
 def behaviour_of(kind: str) -> Behaviour:
     """How people scatter about an uncorrected line: little about the line of sight, much about all others."""
+    return _scatter(kind, jnp.result_type(float))
+
+
+@cache
+def _scatter(kind: str, precision: np.dtype) -> Behaviour:
+    """Made once in each precision: to hand its numbers to JAX takes longer than to use them."""
     if kind == "eye-fingertip":
         return Behaviour(np.deg2rad(1.0), np.deg2rad(1.0))
     if kind == "head-hand":

@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit
@@ -37,18 +38,21 @@ _TOUCH = 1e-9  # relative distance within which two faces hide nothing of each o
 
 
 class Behaviour(eqx.Module):
-    """How people's lines lie about what they mean; the defaults are no measurement of anybody."""
+    """How people's lines lie about what they mean; the defaults are no measurement of anybody.
 
-    sigma_azimuth: Float[Array, ""] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad, across, level
-    sigma_elevation: Float[Array, ""] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad
+    Fields may carry the leading axes of the lines: a behaviour each.
+    """
+
+    sigma_azimuth: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad, level
+    sigma_elevation: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad
     freedom: int | None = eqx.field(static=True, default=4)  # of Student's t, even; None: Gaussian
-    nothing: Float[Array, ""] = eqx.field(converter=as_float, default=0.1)  # prior that no object is meant
-    hidden: Float[Array, ""] = eqx.field(converter=as_float, default=0.3)  # weight of what another object hides
+    nothing: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.1)  # prior that no object is meant
+    hidden: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.3)  # weight of what another object hides
     prior: Literal["equal", "size"] = eqx.field(static=True, default="equal")
 
     @property
     def spread(self) -> Float[Array, "2 2"]:
-        """Covariance to the left and up, rad^2."""
+        """Covariance to the left and up, rad^2. No leading axes."""
         return jnp.diag(jnp.stack([self.sigma_azimuth, self.sigma_elevation]) ** 2)
 
 
@@ -59,6 +63,7 @@ class Posterior(eqx.Module):
     nothing: Float[Array, "*batch"]
     mass: Float[Array, "*batch K"]  # share of the line's distribution on each object, whatever stands before it
     visible: Float[Array, "*batch K"]  # share of that mass that no other object hides, 0..1
+    marginal: Float[Array, "*batch"]  # density of the line whatever is meant, 1/sr; with `prior="size"` a share, 0..1
     ambiguous: Bool[Array, "*batch"]  # the best two answers, nothing among them, are within a factor of AMBIGUOUS
 
     @property
@@ -78,7 +83,8 @@ def posterior(
 
     Args:
         lines: any leading axes; unit directions, corrected for bias.
-        behaviour: spread of the person who points, and the priors of being hidden and of nothing.
+        behaviour: spread of the person who points, and the priors of being hidden and of nothing; of all lines, or
+            with the lines' leading axes.
         prior: relative weights of the objects, all alike if left out.
         evidence: likelihood factors of what else is known, as from words.
     """
@@ -89,34 +95,39 @@ def posterior(
         weights = jnp.broadcast_to(as_float(prior) / jnp.sum(as_float(prior)), weights.shape)
     if evidence is not None:
         weights = weights * jnp.broadcast_to(as_float(evidence), weights.shape)
-    # The covariance as nine rows more: over_lines wants a last axis alone.
-    ask = partial(_posterior, objects.shapes, behaviour)
-    return over_lines(ask, lines.ray.origin, lines.ray.direction, lines.covariance, weights)
+    behaviour = jax.tree.map(lambda leaf: _of_each(leaf, batch), behaviour)
+    ask = partial(_posterior, objects.shapes)
+    return over_lines(ask, lines.ray.origin, lines.ray.direction, lines.covariance, weights, behaviour)
+
+
+def _of_each(leaf: AnyArray, batch: tuple[int, ...]) -> AnyArray:
+    """With a line's own in every place; in numpy where it can be, which is quicker for a few lines."""
+    return (jnp if isinstance(leaf, Tracer) else np).broadcast_to(leaf, batch)
 
 
 @jit
 def _posterior(
     shapes: Shapes,
-    behaviour: Behaviour,
     origin: Float[Array, "G 3"],
     direction: Float[Array, "G 3"],
     covariance: Float[Array, "G 6 6"],
     weights: Float[Array, "G K"],
+    behaviour: Behaviour,
 ) -> Posterior:
     """Of lines with one leading axis."""
 
-    def one(origin: Array, direction: Array, covariance: Array, weights: Array, index: Array, ahead: Array):
+    def one(line: PointingLine, weights: Array, behaviour: Behaviour, index: Array, ahead: Array) -> Posterior:
         few = _chosen(shapes, index, ahead)
         near = jax.tree.map(lambda leaf: leaf[index], planes)
         near = eqx.tree_at(lambda n: n.used, near, near.used & ahead)
-        return _of_line(few, near, behaviour, PointingLine(Ray(origin, direction), covariance), weights)
+        return _of_line(few, near, behaviour, line, weights)
 
     planes = jax.lax.stop_gradient(planes_of(shapes))
 
     bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
     index, count = nearest_first(bounds, min(_NEAR, bounds.shape[1]))
     ahead = jnp.arange(index.shape[1])[None] < count[:, None]
-    return jax.vmap(one)(origin, direction, covariance, weights, index, ahead)
+    return jax.vmap(one)(PointingLine(Ray(origin, direction), covariance), weights, behaviour, index, ahead)
 
 
 def _tangent_bounds(shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, " F"]:
@@ -173,7 +184,8 @@ def _of_line(
     second = jnp.max(jnp.where(jnp.arange(len(chance)) == best, 0.0, chance))
     first = jnp.max(chance)
     ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
-    return Posterior(chance, rest, mass, jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0), ambiguous)
+    visible = jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0)
+    return Posterior(chance, rest, mass, visible, total, ambiguous)
 
 
 def _visible(line: PointingLine, shapes: Shapes, planes: Planes, behaviour: Behaviour) -> Float[Array, " parts"]:
