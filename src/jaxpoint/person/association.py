@@ -18,6 +18,8 @@ PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
 GUESS_ANGLE = np.deg2rad(4.0)  # the same where other views, or the covariance, judge what comes of it
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
 AXIS_TO_TIP_M = 0.12  # a bent wrist carries the tip this far from the forearm's axis
+CLOSE_M = 0.012  # a ray that passes a place so far away says nothing for it
+VIEW_AHEAD_M, MOST_AHEAD = 0.10, 0.4  # so much farther ahead is worth one view, but never more than this part of one
 _PULL = 1e-4  # of the tip on the axis, where the planes do not hold it
 AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
 ELBOW_M = 0.43  # from the tip of a pointing hand to the elbow, mean of adults
@@ -110,7 +112,10 @@ def common_point(
     within_m: float = 0.02,
     beside: tuple[Float[np.ndarray, "3"], float] | None = None,
 ) -> tuple[Float[np.ndarray, "3"], float, list[int]] | None:
-    """Where candidates of several views meet, one a view; of places with as many views the one farthest ahead.
+    """Where candidates of several views meet, one a view.
+
+    Every view counts by how near it passes a place. A place farther ahead than the best one wins with a little less:
+    some views lose the finger and end at the knuckles. Much less is a chance meeting of unlike ends.
 
     Args:
         origins: camera centres, m.
@@ -137,9 +142,9 @@ def common_point(
     distance = np.linalg.norm(off - along[..., None] * rays, axis=2)
     names = np.unique(views)
     nearest = np.stack([np.where(views == v, distance, np.inf).min(axis=1) for v in names], axis=1)
-    support = (nearest < within_m).sum(axis=1)
-    able = support >= max(2, support.max() - 1)
-    best = int(np.where(able, points @ ahead - np.minimum(nearest, within_m).mean(axis=1), -np.inf).argmax())
+    worth = np.maximum(0.0, 1 - (nearest / CLOSE_M) ** 2).sum(axis=1)
+    farther = points @ ahead - points[worth.argmax()] @ ahead
+    best = int((worth + np.minimum(farther / VIEW_AHEAD_M, MOST_AHEAD)).argmax())
     own = [np.where(views == v, distance[best], np.inf).argmin() for v, d in zip(names, nearest[best]) if d < within_m]
     point, spread = _nearest_point(origins[own], rays[own], np.ones(len(own)))
     return point, spread, [int(k) for k in own]
