@@ -52,7 +52,7 @@ class Crop:
         """The `Pixel`s nearest to places of the whole image; NOTHING outside the crop."""
         inside = np.round(pixels - np.array(self.corner))
         height, width = self.labels.shape
-        held = ((inside >= 0) & (inside < (width, height))).all(axis=1)
+        held = np.all((inside >= 0) & (inside < (width, height)), axis=1)
         x, y = np.where(held[:, None], inside, 0).astype(int).T
         return np.where(held, self.labels[y, x], np.uint8(Pixel.NOTHING))
 
