@@ -33,6 +33,7 @@ from jaxpoint.pointing.posterior import Behaviour
 AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
 AIMING_WIDTH_DEG = 3.0
 SAME_SIDE = 0.7  # of people aim with the eye on the side of the hand that points
+AIMED = 0.5  # of a thing's size, about its middle, where people aim (`experiments/pointing_reliability.py`)
 SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
 
 
@@ -143,7 +144,7 @@ def correction_of(bias: Bias) -> Correction:
             f"The bias reads the line '{missing[0]}', but there are only {', '.join(KINDS)}; fit one that reads those."
         )
     azimuth, elevation = np.sqrt(np.diag(np.asarray(bias.spread.scale)))
-    behaviour = Behaviour(azimuth, elevation, freedom=int(bias.spread.freedom))
+    behaviour = Behaviour(azimuth, elevation, freedom=int(bias.spread.freedom), aimed=AIMED)
     return Correction(cast("tuple[LineKind, ...]", bias.lines), bias.model, behaviour)
 
 
@@ -156,10 +157,10 @@ def behaviour_of(kind: str) -> Behaviour:
 def _scatter(kind: str, precision: np.dtype) -> Behaviour:
     """Made once in each precision: to hand its numbers to JAX takes longer than to use them."""
     if kind == "eye-fingertip":
-        return Behaviour(np.deg2rad(1.0), np.deg2rad(1.0))
+        return Behaviour(np.deg2rad(1.0), np.deg2rad(1.0), aimed=AIMED)
     if kind == "head-hand":
-        return Behaviour(np.deg2rad(4.0), np.deg2rad(4.0))
-    return Behaviour(np.deg2rad(6.0), np.deg2rad(9.0))
+        return Behaviour(np.deg2rad(4.0), np.deg2rad(4.0), aimed=AIMED)
+    return Behaviour(np.deg2rad(6.0), np.deg2rad(9.0), aimed=AIMED)
 
 
 def _aiming(joints: Joints) -> Float[Array, " G"]:

@@ -7,7 +7,9 @@ the object (all are alike before the line is seen) this is Bayes' rule; with `pr
 much more often as they are larger, and the likelihood times the prior is the mass itself. Whoever means nothing points
 anywhere: the share of the distribution that no object takes, over half a sphere.
 
-Objects behind others may still be meant: the hidden part of their mass counts `hidden` times as much.
+Objects behind others may still be meant: the hidden part of their mass counts `hidden` times as much. Who means a thing
+points nearer to its middle than to its edge: with `aimed` below 1 somewhere on the part of that size about its middle.
+Without it a small thing before or on a large one takes nearly all lines that pass it (on a table: the book).
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from jaxpoint.pointing.hits import Planes, face_fractions, meet, nearest_first, 
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.mass import NEAR_M, across, masses, solid_angles
-from jaxpoint.pointing.objects import Objects, Shapes
+from jaxpoint.pointing.objects import Objects, Shapes, middle_part
 
 AMBIGUOUS = 3.0
 _NEAR = 16  # faces that are looked at for one line: the nearest by angle; the others count as missed
@@ -49,6 +51,11 @@ class Behaviour(eqx.Module):
     nothing: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.1)  # prior that no object is meant
     hidden: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.3)  # weight of what another object hides
     prior: Literal["equal", "size"] = eqx.field(static=True, default="equal")
+    aimed: float = eqx.field(static=True, default=1.0)  # of an object's size, about its middle, where people aim; <= 1
+
+    def __check_init__(self) -> None:
+        if not 0 < self.aimed <= 1:
+            raise ValueError(f"People aim at a share of an object's size, so `aimed` lies in 0..1; it is {self.aimed}.")
 
     @property
     def spread(self) -> Float[Array, "2 2"]:
@@ -61,7 +68,7 @@ class Posterior(eqx.Module):
 
     probability: Float[Array, "*batch K"]
     nothing: Float[Array, "*batch"]
-    mass: Float[Array, "*batch K"]  # share of the line's distribution on each object, whatever stands before it
+    mass: Float[Array, "*batch K"]  # share of the line's distribution where people aim, whatever stands before it
     visible: Float[Array, "*batch K"]  # share of that mass that no other object hides, 0..1
     marginal: Float[Array, "*batch"]  # density of the line whatever is meant, 1/sr; with `prior="size"` a share, 0..1
     ambiguous: Bool[Array, "*batch"]  # the best two answers, nothing among them, are within a factor of AMBIGUOUS
@@ -117,11 +124,12 @@ def _posterior(
     """Of lines with one leading axis."""
 
     def one(line: PointingLine, weights: Array, behaviour: Behaviour, index: Array, ahead: Array) -> Posterior:
-        few = _chosen(shapes, index, ahead)
+        few, parts = _chosen(shapes, index, ahead), _chosen(aimed, index, ahead)
         near = jax.tree.map(lambda leaf: leaf[index], planes)
         near = eqx.tree_at(lambda n: n.used, near, near.used & ahead)
-        return _of_line(few, near, behaviour, line, weights)
+        return _of_line(few, parts, near, behaviour, line, weights)
 
+    aimed = shapes if behaviour.aimed == 1 else middle_part(shapes, behaviour.aimed)
     planes = jax.lax.stop_gradient(planes_of(shapes))
 
     bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
@@ -160,14 +168,14 @@ def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -
 
 
 def _of_line(
-    shapes: Shapes, planes: Planes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]
+    shapes: Shapes, aimed: Shapes, planes: Planes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]
 ) -> Posterior:
     def by_object(parts: Float[Array, " parts"]) -> Float[Array, " K"]:
         return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
 
-    parts = masses(line, shapes, behaviour.spread, behaviour.freedom)
+    parts = masses(line, aimed, behaviour.spread, behaviour.freedom)
     seen = _visible(line, shapes, planes, behaviour)
-    angles = solid_angles(line.ray.origin, shapes)
+    angles = solid_angles(line.ray.origin, aimed)
     mass, shown, angle = by_object(parts), by_object(parts * seen), by_object(angles)
     counted = shown + behaviour.hidden * (mass - shown)
     none = jnp.clip(1 - jnp.sum(shown), 0.0, 1.0) / (2 * jnp.pi)
