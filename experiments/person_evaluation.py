@@ -32,12 +32,13 @@ RESAMPLES = 2000
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs=2, type=int, default=(0, 2), metavar=("FIRST", "END"))
-    parser.add_argument("--gestures", type=int, default=PEOPLE_A_SESSION, help="of one session, each by another person")
+    parser.add_argument("--gestures", type=int, default=PEOPLE_A_SESSION, help="of one session")
+    parser.add_argument("--each", type=int, default=1, help="gestures of one person")
     parser.add_argument("--every", type=int, default=2, help="which frames of a hold are scored: every so many")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("evaluation"))
     args = parser.parse_args()
-    sessions = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out)
+    sessions = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out, args.each)
     views = [view for session in sessions for view in session["views"]]
     gestures = [gesture for session in sessions for gesture in session["gestures"]]
     table = summary(views, gestures)

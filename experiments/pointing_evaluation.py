@@ -37,13 +37,14 @@ MODES = ("raw", "with the model", "thesis")
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", nargs=2, type=int, default=(40, 42), metavar=("FIRST", "END"))
-    parser.add_argument("--gestures", type=int, default=4, help="of one session, each by another person")
+    parser.add_argument("--gestures", type=int, default=4, help="of one session")
+    parser.add_argument("--each", type=int, default=1, help="gestures of one person")
     parser.add_argument("--every", type=int, default=2, help="which frames of a hold are looked at: every so many")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("pointing"))
     parser.add_argument("--bias", type=Path, default=None, help="where to write the bias of all these people")
     args = parser.parse_args()
-    kept = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out)
+    kept = scored_sessions(range(*args.seeds), args.gestures, args.every, args.workers, args.out, args.each)
     sessions = [session | {"gestures": session["pointing"]} for session in kept]
     with jax.enable_x64(True):
         rows = answered(sessions)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import multiprocessing
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from jaxpoint.config.people import SleeveShares
@@ -20,35 +20,54 @@ PEOPLE_A_SESSION = 8  # as many as the masks of a session can tell apart
 SHOWING = SleeveShares(none=0.1, short=0.45, elbow=0.2, rolled=0.25, long=0.0)
 
 
-def scored_sessions(seeds: range, gestures: int, every: int, workers: int, folder: Path) -> list[dict]:
+@dataclass(frozen=True)
+class Asked:
+    """What a session is made with."""
+
+    gestures: int
+    each: int  # of one person
+    every: int  # frames of a hold
+
+    def __str__(self) -> str:
+        return f"--gestures {self.gestures} --each {self.each} --every {self.every}"
+
+
+def scored_sessions(
+    seeds: range, gestures: int, every: int, workers: int, folder: Path, each: int = 1
+) -> list[dict]:
     """All sessions, those that the folder does not hold yet rendered and scored.
 
     Args:
         seeds: one session each.
-        gestures: of one session, each by another person.
+        gestures: of one session.
         every: which frames of a hold are looked at: every so many.
         workers: processes, one core each.
         folder: of the files `seed_N.json`.
+        each: gestures of one person.
 
     Raises:
         FileFormatError: a file there is of another layout.
-        UsageError: more gestures than labels, or a file there was made with other gestures or frames.
+        UsageError: more people than labels, or a file there was made with other gestures or frames.
     """
-    if not 1 <= gestures <= PEOPLE_A_SESSION:
-        raise UsageError(f"--gestures is {gestures}; masks tell 1 to {PEOPLE_A_SESSION} people apart.")
+    if each < 1 or gestures < 1 or gestures % each or gestures // each > PEOPLE_A_SESSION:
+        raise UsageError(
+            f"{gestures} gestures, {each} of each person, are asked for; --gestures must be a multiple of --each, and "
+            f"masks tell 1 to {PEOPLE_A_SESSION} people apart."
+        )
+    asked = Asked(gestures, each, every)
     folder.mkdir(parents=True, exist_ok=True)
     paths = {seed: folder / f"seed_{seed}.json" for seed in seeds}
-    kept = {seed: read_session(path, gestures, every) for seed, path in paths.items() if path.exists()}
-    left = [(seed, gestures, every, path) for seed, path in paths.items() if seed not in kept]
+    kept = {seed: read_session(path, asked) for seed, path in paths.items() if path.exists()}
+    left = [(seed, asked, path) for seed, path in paths.items() if seed not in kept]
     if left:
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
             for done, seed in enumerate(pool.imap_unordered(_keep, left), start=1):
-                kept[seed] = read_session(paths[seed], gestures, every)
+                kept[seed] = read_session(paths[seed], asked)
                 print(f"session {seed} scored, {done} of {len(left)}", flush=True)
     return [kept[seed] for seed in seeds]
 
 
-def read_session(path: Path, gestures: int, every: int) -> dict:
+def read_session(path: Path, asked: Asked) -> dict:
     """A kept session.
 
     Raises:
@@ -64,23 +83,23 @@ def read_session(path: Path, gestures: int, every: int) -> dict:
         raise FileFormatError(
             f"'{path}' has layout {layout}, and layout {LAYOUT} is read; delete it, or name another folder with --out."
         )
-    if (kept["asked"], kept["every"]) != (gestures, every):
+    made = Asked(kept["asked"], kept.get("each", 1), kept["every"])
+    if made != asked:
         raise UsageError(
-            f"'{path}' holds --gestures {kept['asked']} --every {kept['every']}, and --gestures {gestures} --every "
-            f"{every} are asked for; ask for the same, or name another folder with --out."
+            f"'{path}' holds {made}, and {asked} are asked for; ask for the same, or name another folder with --out."
         )
     return kept
 
 
-def settings_of(gestures: int) -> SimulationSettings:
-    """Single gestures, each by another person, whose sleeves show the forearm."""
-    settings = SimulationSettings()
+def settings_of(asked: Asked) -> SimulationSettings:
+    """Gestures of people whose sleeves show the forearm, one person after the other."""
+    settings, gestures = SimulationSettings(), asked.gestures
     looks = replace(settings.people.looks, sleeves=SHOWING)
-    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures, looks=looks)
+    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures // asked.each, looks=looks)
     return replace(settings, people=people)
 
 
-def score_session(settings: SimulationSettings, seed: int, every: int) -> dict:
+def score_session(asked: Asked, seed: int) -> dict:
     """All scores of one session, for JSON: of views, of gestures, and what pointing needs to answer them."""
     import person_scores
     from jaxpoint.config.person import PersonSettings
@@ -88,25 +107,25 @@ def score_session(settings: SimulationSettings, seed: int, every: int) -> dict:
     from pointing_scores import kept_gesture
     from session_pixels import gestures_of
 
-    session = simulate_session(settings, seed)
+    session = simulate_session(settings_of(asked), seed)
     views, gestures, pointing = [], [], []
-    for pixels in gestures_of(session, PersonSettings(), every):
+    for pixels in gestures_of(session, PersonSettings(), asked.every):
         own, gesture = person_scores.score(pixels)
         views += [asdict(view) for view in own]
         gestures.append(asdict(gesture))
         pointing.append(asdict(kept_gesture(pixels)))
     things = [{"name": t.name, "kind": t.kind, "corners": t.corners.tolist()} for t in session.objects]
     room = {"objects": things, "room": session.scene.size.tolist()}
-    made = {"layout": LAYOUT, "seed": seed, "asked": settings.people.gestures, "every": every}
+    made = {"layout": LAYOUT, "seed": seed, "asked": asked.gestures, "each": asked.each, "every": asked.every}
     return made | {"views": views, "gestures": gestures, "pointing": pointing} | room
 
 
-def _keep(job: tuple[int, int, int, Path]) -> int:
+def _keep(job: tuple[int, Asked, Path]) -> int:
     import cv2
 
-    seed, gestures, every, path = job
+    seed, asked, path = job
     cv2.setNumThreads(1)
-    scores = score_session(settings_of(gestures), seed, every)
+    scores = score_session(asked, seed)
     with replacing(path) as file:
         file.write(json.dumps(scores).encode())
     return seed
