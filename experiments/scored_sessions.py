@@ -32,9 +32,7 @@ class Asked:
         return f"--gestures {self.gestures} --each {self.each} --every {self.every}"
 
 
-def scored_sessions(
-    seeds: range, gestures: int, every: int, workers: int, folder: Path, each: int = 1
-) -> list[dict]:
+def scored_sessions(seeds: range, gestures: int, every: int, workers: int, folder: Path, each: int = 1) -> list[dict]:
     """All sessions, those that the folder does not hold yet rendered and scored.
 
     Args:
@@ -91,15 +89,15 @@ def read_session(path: Path, asked: Asked) -> dict:
     return kept
 
 
-def settings_of(asked: Asked) -> SimulationSettings:
-    """Gestures of people whose sleeves show the forearm, one person after the other."""
-    settings, gestures = SimulationSettings(), asked.gestures
+def settings_of(gestures: int, each: int = 1) -> SimulationSettings:
+    """Gestures, `each` of one person, one person after the other; sleeves show the forearm."""
+    settings = SimulationSettings()
     looks = replace(settings.people.looks, sleeves=SHOWING)
-    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures // asked.each, looks=looks)
+    people = replace(settings.people, play="gestures", gestures=gestures, people=gestures // each, looks=looks)
     return replace(settings, people=people)
 
 
-def score_session(asked: Asked, seed: int) -> dict:
+def score_session(settings: SimulationSettings, seed: int, every: int) -> dict:
     """All scores of one session, for JSON: of views, of gestures, and what pointing needs to answer them."""
     import person_scores
     from jaxpoint.config.person import PersonSettings
@@ -107,17 +105,18 @@ def score_session(asked: Asked, seed: int) -> dict:
     from pointing_scores import kept_gesture
     from session_pixels import gestures_of
 
-    session = simulate_session(settings_of(asked), seed)
+    session = simulate_session(settings, seed)
     views, gestures, pointing = [], [], []
-    for pixels in gestures_of(session, PersonSettings(), asked.every):
+    for pixels in gestures_of(session, PersonSettings(), every):
         own, gesture = person_scores.score(pixels)
         views += [asdict(view) for view in own]
         gestures.append(asdict(gesture))
         pointing.append(asdict(kept_gesture(pixels)))
     things = [{"name": t.name, "kind": t.kind, "corners": t.corners.tolist()} for t in session.objects]
     room = {"objects": things, "room": session.scene.size.tolist()}
-    made = {"layout": LAYOUT, "seed": seed, "asked": asked.gestures, "each": asked.each, "every": asked.every}
-    return made | {"views": views, "gestures": gestures, "pointing": pointing} | room
+    people = settings.people
+    made = {"layout": LAYOUT, "seed": seed, "asked": people.gestures, "each": people.gestures // people.people}
+    return made | {"every": every} | {"views": views, "gestures": gestures, "pointing": pointing} | room
 
 
 def _keep(job: tuple[int, Asked, Path]) -> int:
@@ -125,7 +124,7 @@ def _keep(job: tuple[int, Asked, Path]) -> int:
 
     seed, asked, path = job
     cv2.setNumThreads(1)
-    scores = score_session(asked, seed)
+    scores = score_session(settings_of(asked.gestures, asked.each), seed, asked.every)
     with replacing(path) as file:
         file.write(json.dumps(scores).encode())
     return seed

@@ -10,7 +10,7 @@ import scored_sessions
 from jaxpoint.config.people import Uniform
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.pointing.joints import Joints
-from scored_sessions import LAYOUT, read_session, score_session, settings_of
+from scored_sessions import LAYOUT, Asked, read_session, score_session, settings_of
 
 
 @pytest.fixture(scope="module")
@@ -49,10 +49,10 @@ def test_files_that_do_not_fit_are_refused_before_anything_is_rendered(tmp_path)
         scored_sessions.scored_sessions(range(2), 8, 2, 1, tmp_path)
     path.write_text("[")
     with pytest.raises(FileFormatError, match="no kept session"):
-        read_session(path, 8, 2)
+        read_session(path, Asked(8, 1, 2))
     path.write_text(json.dumps({"layout": LAYOUT, "asked": 4, "every": 2}))
-    with pytest.raises(UsageError, match=r"--gestures 4 --every 2.*--gestures 8 --every 2"):
-        read_session(path, 8, 2)
+    with pytest.raises(UsageError, match=r"--gestures 4 --each 1 --every 2.*--gestures 8 --each 1 --every 2"):
+        read_session(path, Asked(8, 1, 2))
     with pytest.raises(UsageError, match="1 to 8 people"):
         scored_sessions.scored_sessions(range(2), 9, 2, 1, tmp_path)
     assert sorted(tmp_path.iterdir()) == [path]

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from operator import itemgetter
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxpoint.answer.eyes import learnt_eyes
 from jaxpoint.answer.holds import Hold
 from jaxpoint.answer.hypotheses import Hypothesis
 from jaxpoint.answer.lines import HeldJoints
+from jaxpoint.answer.offsets import Ask, learnt_offsets, turned_lines
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import Hits, intersect
+from jaxpoint.pointing.joints import is_left
+from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.nearest import Nearest, nearest
 from jaxpoint.pointing.objects import Objects, Shapes
-from jaxpoint.pointing.posterior import AMBIGUOUS, posterior
+from jaxpoint.pointing.posterior import AMBIGUOUS, Behaviour, posterior
 from jaxpoint.pointing.room import SURFACES, Room, RoomPoint, end_in_room
 
 NOTHING = "nothing"
@@ -124,13 +127,14 @@ def answers(
         known_errors: the calibration says how wrong it may be.
         sharper: the power to which probabilities are raised; 1 leaves them as the lines' distributions have them.
     """
+    persons = [hold.person for hold in holds]
+    wrong = np.array([WRONG_OF_TWO_VIEWS if hold.views <= 2 else WRONG_OF_MORE for hold in holds])
     each, marginal = _by_way(ways, scene.objects, evidence)
-    weight = learnt_eyes(ways, marginal, [hold.person for hold in holds])[..., None]
+    ways = _own_offsets(ways, each, marginal, persons, wrong, held, partial(_asked, scene.objects, evidence))
+    weight = learnt_eyes(ways, marginal, persons)[..., None]
     right = (weight * each).sum(axis=0) ** sharper
     right /= right.sum(axis=1, keepdims=True)
-    wrong = np.array([WRONG_OF_TWO_VIEWS if hold.views <= 2 else WRONG_OF_MORE for hold in holds])[:, None]
-    count = len(scene.objects)
-    chance = (1 - wrong) * right + wrong / (count + 1)
+    chance = (1 - wrong[:, None]) * right + wrong[:, None] / right.shape[1]
     best = chance.argmax(axis=1)
     # The way whose share in the winning answer is largest is the one that is shown.
     way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
@@ -161,13 +165,47 @@ def _by_way(
             (ways[i].lines, jax.tree.map(partial(np.broadcast_to, shape=count), ways[i].behaviour)) for i in places
         ]
         lines, behaviour = jax.tree.map(lambda *leaves: np.concatenate(leaves), *asked)
-        told = None if evidence is None else np.tile(evidence, (len(places), 1))
-        found = posterior(lines, objects, behaviour, evidence=told)
-        each[places, :, :-1] = np.reshape(found.probability, (len(places), count, -1))
-        each[places, :, -1], marginal[places] = (
-            np.reshape(part, (len(places), count)) for part in (found.nothing, found.marginal)
-        )
+        told, density = _asked(objects, evidence, lines, behaviour, np.tile(np.arange(count), len(places)))
+        each[places], marginal[places] = told.reshape(len(places), count, -1), density.reshape(-1, count)
     return each, marginal
+
+
+def _asked(
+    objects: Objects,
+    evidence: Float[np.ndarray, "G K"] | None,
+    lines: PointingLine,
+    behaviour: Behaviour,
+    gestures: Int[np.ndarray, " g"],
+) -> tuple[Float[np.ndarray, "*batch answers"], Float[np.ndarray, "*batch"]]:
+    """Probabilities of all objects and of nothing, and densities, of lines whose last axis is of these gestures."""
+    found = posterior(lines, objects, behaviour, evidence=None if evidence is None else evidence[gestures])
+    return np.concatenate([found.probability, np.asarray(found.nothing)[..., None]], axis=-1), np.asarray(
+        found.marginal
+    )
+
+
+def _own_offsets(
+    ways: Sequence[Hypothesis],
+    each: Float[np.ndarray, "W G answers"],
+    marginal: Float[np.ndarray, "W G"],
+    persons: Sequence[int],
+    wrong: Float[np.ndarray, " G"],
+    held: HeldJoints,
+    ask: Ask,
+) -> list[Hypothesis]:
+    """The ways with people's own offsets learnt and taken off; `each` and `marginal` are brought up to date."""
+    left, told = np.asarray(jax.vmap(is_left)(held.joints)), list(ways)
+    weighed = np.stack([way.weight for way in ways]) * marginal
+    for i, way in enumerate(ways):
+        learnt = learnt_offsets(way, weighed.sum(axis=0) - weighed[i], wrong, persons, left, ask)
+        if learnt is None:
+            continue
+        own = learnt.gestures
+        each[i, own], marginal[i, own] = learnt.probability, learnt.marginal
+        offset = np.zeros((len(left), 2))
+        offset[own] = learnt.offset
+        told[i] = replace(way, lines=turned_lines(way.lines, offset, left), offset=offset)
+    return told
 
 
 @dataclass(frozen=True)
@@ -237,7 +275,7 @@ def _answer(
         ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),
         name=name,
         distance_m=_distance(name, hits, surface, origin, scene),
-        reasons=_reasons(hold, way, name, hits, surface),
+        reasons=(*_reasons(hold, way, name, hits, surface), *_learnt(way, i)),
         words=tuple(words),
     )
 
@@ -272,3 +310,11 @@ def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surf
     if way.kind == "eye-fingertip":
         reasons.append("The finger lies on the line of sight: the line goes from the eye over the fingertip.")
     return tuple(reasons)
+
+
+def _learnt(way: Hypothesis, i: int) -> tuple[str, ...]:
+    """Says that the line was turned by what the person's other gestures tell."""
+    if way.offset is None or not way.offset[i].any():
+        return ()
+    off = np.degrees(np.hypot(*way.offset[i]))
+    return (f"The line is turned by {off:.1f} degrees, by which this person's other gestures miss what is meant.",)

@@ -25,6 +25,7 @@ from jaxpoint.geometry.line import angle_between
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.drawn import drawn
 from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.spread import Spread
 from jaxpoint.pointing.joints import Joints, other_eye
 from jaxpoint.pointing.line import KINDS, LineKind, PointingLine, directions, pointing_lines, weights_of
 from jaxpoint.pointing.lines import over_lines
@@ -37,12 +38,20 @@ AIMED = 0.5  # of a thing's size, about its middle, where people aim (`experimen
 SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
 
 
+class People(eqx.Module):
+    """How people differ: each misses by an offset of their own, and scatters about it."""
+
+    between: Float[Array, "2 2"]  # covariance of people's offsets, to the left of a right arm and up, rad^2
+    within: Behaviour  # of one person's gestures about the person's own offset
+
+
 class Correction(eqx.Module):
     """What takes a bias off the line of one kind, and how people scatter about it then."""
 
     lines: tuple[LineKind, ...] = eqx.field(static=True)  # that the model reads; the first is the one that is turned
     model: AbstractModel
-    behaviour: Behaviour
+    behaviour: Behaviour  # of somebody who was not fitted
+    people: People | None  # None: where everybody pointed once, what is a person's own cannot be told
 
     @property
     def kind(self) -> LineKind:
@@ -60,6 +69,8 @@ class Hypothesis:
     behaviour: Behaviour
     by_calibration: Float[np.ndarray, "G 3 3"]  # the calibration's part of the direction's covariance
     aims: bool = False  # with one of the two eyes that are weighed
+    people: People | None = None  # how people differ in it, where that can be learnt
+    offset: Float[np.ndarray, "G 2"] | None = None  # rad, to the left of a right arm and up: learnt and taken off
 
 
 def hypotheses(
@@ -83,7 +94,15 @@ def hypotheses(
     draw = partial(_all_ways, kind, chosen, correction)
     found = over_lines(draw, held.joints, held.covariance, held.calibration)
     return [
-        Hypothesis(name, lines, np.asarray(weight), _behaviour(name, correction), np.asarray(own), _aims(kind, name))
+        Hypothesis(
+            name,
+            lines,
+            np.asarray(weight),
+            _behaviour(name, correction),
+            np.asarray(own),
+            _aims(kind, name),
+            people_of(name) if correction is None or correction.kind != name else correction.people,
+        )
         for name, (lines, own, weight) in zip(_names(kind), found, strict=True)
     ]
 
@@ -143,9 +162,17 @@ def correction_of(bias: Bias) -> Correction:
         raise InsufficientDataError(
             f"The bias reads the line '{missing[0]}', but there are only {', '.join(KINDS)}; fit one that reads those."
         )
-    azimuth, elevation = np.sqrt(np.diag(np.asarray(bias.spread.scale)))
-    behaviour = Behaviour(azimuth, elevation, freedom=int(bias.spread.freedom), aimed=AIMED)
-    return Correction(cast("tuple[LineKind, ...]", bias.lines), bias.model, behaviour)
+    people = None
+    if bias.fitted.gestures > bias.fitted.people:
+        people = People(bias.between, _behaviour_about(bias.within))
+    lines = cast("tuple[LineKind, ...]", bias.lines)
+    return Correction(lines, bias.model, _behaviour_about(bias.spread), people)
+
+
+def _behaviour_about(spread: Spread) -> Behaviour:
+    """What a fitted scatter says of how lines lie about what is meant."""
+    azimuth, elevation = np.sqrt(np.diag(np.asarray(spread.scale)))
+    return Behaviour(azimuth, elevation, freedom=int(spread.freedom), aimed=AIMED)
 
 
 def behaviour_of(kind: str) -> Behaviour:
@@ -161,6 +188,23 @@ def _scatter(kind: str, precision: np.dtype) -> Behaviour:
     if kind == "head-hand":
         return Behaviour(np.deg2rad(4.0), np.deg2rad(4.0), aimed=AIMED)
     return Behaviour(np.deg2rad(6.0), np.deg2rad(9.0), aimed=AIMED)
+
+
+def people_of(kind: str) -> People | None:
+    """How people differ in an uncorrected line; no measurement of anybody. None for the line of sight: it has no bias.
+
+    Together with the scatter about it this is `behaviour_of`.
+    """
+    return _differences(kind, jnp.result_type(float))
+
+
+@cache
+def _differences(kind: str, precision: np.dtype) -> People | None:
+    if kind == "eye-fingertip":
+        return None
+    own = np.deg2rad([3.5, 3.5] if kind == "head-hand" else [5.5, 8.7])
+    scatter = np.deg2rad(2.0 if kind == "head-hand" else 2.4)
+    return People(jnp.diag(jnp.asarray(own, precision) ** 2), Behaviour(scatter, scatter, aimed=AIMED))
 
 
 def _aiming(joints: Joints) -> Float[Array, " G"]:

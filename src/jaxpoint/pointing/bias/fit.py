@@ -42,16 +42,15 @@ def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, 
     """
     pointings = _checked(kind, pointings)
     _, model, misses = choose(kind, pointings, loss_deg)
-    everyone = np.ones(len(pointings))
-    middles = _middles(misses, pointings.who)
+    between, within = _people(misses, pointings.who)
     median = float(np.rad2deg(np.median(np.hypot(*misses.T))))
     return Bias(
         pointings.lines,
         model,
-        fit_spread(misses, everyone),
-        middles.T @ middles / len(middles) + _BETWEEN_FLOOR * np.eye(2),
-        fit_spread(misses - middles[pointings.who], everyone),
-        Fitted(source, len(middles), len(pointings), _different(pointings), loss_deg, median),
+        fit_spread(misses, np.ones(len(pointings))),
+        between,
+        within,
+        Fitted(source, len(pointings.crowd), len(pointings), _different(pointings), loss_deg, median),
     )
 
 
@@ -195,6 +194,24 @@ def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> P
             f"({', '.join(pointings.lines)})."
         )
     return pointings
+
+
+def _people(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> tuple[Float[np.ndarray, "2 2"], Spread]:
+    """Covariance of people's offsets (rad^2), and how each one's gestures scatter about the person's own.
+
+    A person's middle is known by few gestures: it follows their scatter, which is taken off the one and added to the
+    other. Who pointed once says nothing of scatter; where nobody pointed twice, all of the misses are called scatter.
+    """
+    count = np.bincount(who)[who]
+    twice = count > 1
+    if not twice.any():
+        return _BETWEEN_FLOOR * np.eye(2), fit_spread(misses, np.ones(len(who)))
+    middles = _middles(misses, who)
+    own = (misses - middles[who])[twice] * np.sqrt(count / np.maximum(count - 1, 1))[twice, None]
+    within = fit_spread(own, np.ones(len(own)))
+    by_scatter = np.asarray(within.scale) * np.mean(1 / np.bincount(who))
+    size, axes = np.linalg.eigh(middles.T @ middles / len(middles) - by_scatter)
+    return (axes * np.maximum(size, _BETWEEN_FLOOR)) @ axes.T, within
 
 
 def _middles(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> Float[np.ndarray, "people 2"]:
