@@ -34,7 +34,9 @@ def way() -> Hypothesis:
 
 def density(azimuth, elevation):
     """As if everything that can be meant lay about two directions."""
-    return np.exp(-((azimuth - 0.5) ** 2 + (elevation + 0.1) ** 2) / 0.02) + 0.5 * np.exp(-((azimuth - 0.2) ** 2) / 0.01)
+    return np.exp(-((azimuth - 0.5) ** 2 + (elevation + 0.1) ** 2) / 0.02) + 0.5 * np.exp(
+        -((azimuth - 0.2) ** 2) / 0.01
+    )
 
 
 def ask(lines, behaviour, gestures):

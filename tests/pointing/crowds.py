@@ -30,6 +30,6 @@ def crowd(
     hand = np.array([5.0, -3.0]) + own + 0.2 * draw.normal(size=(count, 2))
     shoulder = own + 10 * draw.choice([-1, 1], size=(count, 1))
     directions = np.stack([turned(to, np.deg2rad(off)) for off in (head, hand, shoulder)], axis=1)
-    names = tuple(NAMES[person] for person in who)
+    names = tuple(f"{NAMES[person % 7]}{person // 7 or ''}" for person in who)
     gestures_named = tuple(map(str, range(count)))
     return Pointings(gestures_named, names, LINES, np.repeat(tips[:, None], 3, axis=1), directions, targets)

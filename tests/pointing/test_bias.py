@@ -165,6 +165,23 @@ def test_spread_tells_people_from_gestures():
     assert (np.sqrt(np.diagonal(found.spread.scale)) > 2 * within).all()
 
 
+@pytest.mark.parametrize("each", [2, 4])
+def test_few_gestures_each_tell_people_from_gestures(each):
+    people = crowds.crowd(3, people=150, gestures=each, between_deg=3.0, within_deg=2.0, slips=0.0)
+    found = fit("constant", people.of_lines(("head",)))
+    np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diagonal(found.within.scale))), 2.0, rtol=0.15)
+    np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diagonal(found.between))), 3.0, rtol=0.2)
+
+
+def test_one_gesture_each_tells_nothing_of_a_person():
+    people = crowds.crowd(3, people=30, gestures=1, between_deg=3.0, slips=0.0).of_lines(("head",))
+    found = fit("constant", people)
+    np.testing.assert_allclose(found.within.scale, found.spread.scale)
+    assert np.rad2deg(np.sqrt(np.linalg.eigvalsh(found.between))).max() < 0.2
+    with pytest.raises(InsufficientDataError, match=r"30 gestures of 30 people.*twice or more"):
+        fit_personal(found, people.select(np.arange(1)))
+
+
 def test_a_personal_offset_is_the_posterior_mean(people, constant):
     """For Gaussian gestures; and it moves to the truth as gestures come in."""
     shared = replace(

@@ -58,7 +58,8 @@ def fit_personal(shared: Bias, pointings: Pointings, *, source: str = "") -> Bia
     """A shared bias with the offset of one person, from a few known targets.
 
     Raises:
-        InsufficientDataError: no targets, more than one person, or a line that the shared bias reads is missing.
+        InsufficientDataError: no targets, more than one person, a line that the shared bias reads is missing, or nobody
+            pointed twice when that was fitted.
     """
     pointings = pointings.of_lines(shared.lines)
     if len(pointings.crowd) > 1:
@@ -69,6 +70,11 @@ def fit_personal(shared: Bias, pointings: Pointings, *, source: str = "") -> Bia
     if pointings.targets is None or isinstance(shared.model, Personal):
         what = "is personal already" if isinstance(shared.model, Personal) else "cannot be fitted without targets"
         raise InsufficientDataError(f"The bias {what}; give a shared one and pointings at known targets.")
+    if shared.fitted.gestures <= shared.fitted.people:
+        raise InsufficientDataError(
+            f"The shared bias was fitted on {shared.fitted.gestures} gestures of {shared.fitted.people} people, which "
+            "do not show what is a person's own; fit it on people who point twice or more."
+        )
     offset = offsets(shared.model, pointings, np.ones((1, len(pointings))), shared.between, shared.within)[0]
     left = left_of_between(shared, len(pointings))
     return Bias(
@@ -199,19 +205,26 @@ def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> P
 def _people(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> tuple[Float[np.ndarray, "2 2"], Spread]:
     """Covariance of people's offsets (rad^2), and how each one's gestures scatter about the person's own.
 
-    A person's middle is known by few gestures: it follows their scatter, which is taken off the one and added to the
-    other. Who pointed once says nothing of scatter; where nobody pointed twice, all of the misses are called scatter.
+    Scatter is told by differences of two gestures of one person, far apart in the order in which they were made: they
+    need no middle, which few gestures hardly tell. What it adds to the middles is taken off their covariance. Where
+    nobody pointed twice, all of the misses are called scatter.
     """
-    count = np.bincount(who)[who]
-    twice = count > 1
-    if not twice.any():
+    count = np.bincount(who)
+    twice = np.flatnonzero(count[who] > 1)
+    if not len(twice):
         return _BETWEEN_FLOOR * np.eye(2), fit_spread(misses, np.ones(len(who)))
+    pairs = np.concatenate([_far_pairs(np.flatnonzero(who == person)) for person in np.unique(who[twice])])
+    within = fit_spread((misses[pairs[:, 0]] - misses[pairs[:, 1]]) / np.sqrt(2), np.ones(len(pairs)))
     middles = _middles(misses, who)
-    own = (misses - middles[who])[twice] * np.sqrt(count / np.maximum(count - 1, 1))[twice, None]
-    within = fit_spread(own, np.ones(len(own)))
-    by_scatter = np.asarray(within.scale) * np.mean(1 / np.bincount(who))
+    by_scatter = np.asarray(within.scale) * np.mean(1 / count)
     size, axes = np.linalg.eigh(middles.T @ middles / len(middles) - by_scatter)
     return (axes * np.maximum(size, _BETWEEN_FLOOR)) @ axes.T, within
+
+
+def _far_pairs(own: Int[np.ndarray, " g"]) -> Int[np.ndarray, "p 2"]:
+    """Each gesture with the one half of all gestures later, around the end."""
+    later = np.roll(own, -(len(own) // 2))
+    return np.stack([own, later], axis=1)[: len(own) if len(own) > 2 else 1]
 
 
 def _middles(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> Float[np.ndarray, "people 2"]:
