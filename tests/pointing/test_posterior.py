@@ -11,7 +11,7 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.mass import across, angle, masses, solid_angles
-from jaxpoint.pointing.objects import Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.words import words_evidence
 
@@ -161,16 +161,17 @@ def test_reverse_derivatives_of_the_angle_of_an_edge():
     np.testing.assert_allclose(slopes, [a / (h**2 + a**2) - b / (h**2 + b**2), of_a, of_b], rtol=1e-9)
 
 
-def test_probabilities_are_kept_by_people_who_behave_as_assumed():
+@pytest.mark.parametrize("aimed", [1.0, 0.5])
+def test_probabilities_are_kept_by_people_who_behave_as_assumed(aimed):
     """Of the answers given with a probability p, p are right: whoever is simulated means any object, or none."""
     rng = np.random.default_rng(2)
     listed = [Thing(str(i), facing(*rng.uniform(-0.5, 0.5, 2), *rng.uniform(0.04, 0.3, 2))) for i in range(12)]
-    behaviour = Behaviour(*SPREAD, freedom=4, nothing=0.1, hidden=1.0)
+    behaviour = Behaviour(*SPREAD, freedom=4, nothing=0.1, hidden=1.0, aimed=aimed)
     count = 3000
     meant = rng.integers(0, 12, count)
     none = rng.random(count) < 0.1
     target = np.stack([listed[k].shape.corners for k in meant])
-    u, v = rng.random((2, count, 1))
+    u, v = 0.5 + aimed * (rng.random((2, count, 1)) - 0.5)
     aim = target[:, 0] + u * (target[:, 1] - target[:, 0]) + v * (target[:, 2] - target[:, 0]) - TIP
     free = rng.normal(size=(count, 3))
     free *= np.sign(free @ AHEAD)[:, None]
@@ -229,6 +230,31 @@ def test_lines_may_have_a_behaviour_each():
     np.testing.assert_allclose(found.probability, [own.probability for own in alone], rtol=1e-12)
     np.testing.assert_allclose(found.nothing, [own.nothing for own in alone], rtol=1e-12)
     assert float(found.nothing[0] / found.nothing[1]) > 1.5
+
+
+def test_people_aim_at_the_middle_part_of_every_shape():
+    """As if each object were smaller, about its own middle."""
+    center, size = TIP + 1.2 * AHEAD, np.array([0.2, 0.3, 0.1])
+    beside = center + np.array([0.1, 0.3, 0.1])
+    shapes = [facing(0.1, 0.05, 0.4, 0.2), Box(center, size, 0.4), Sphere(beside, 0.2)]
+    small = [facing(0.1, 0.05, 0.2, 0.1), Box(center, size / 2, 0.4), Sphere(beside, 0.1)]
+    whole, half = (Objects.of([Thing(str(i), one) for i, one in enumerate(some)]) for some in (shapes, small))
+    found = posterior(line(), whole, Behaviour(*SPREAD, aimed=0.5))
+    np.testing.assert_allclose(found.mass, posterior(line(), half, Behaviour(*SPREAD)).mass, rtol=1e-9)
+    with pytest.raises(ValueError, match=r"0\.\.1; it is 1\.5"):
+        Behaviour(aimed=1.5)
+
+
+def test_a_small_thing_on_a_large_one_does_not_take_its_lines():
+    listed = [Thing("table", facing(0, 0, 0.6, 0.3)), Thing("book", facing(0.13, 0, 0.1, 0.07, 0.999))]
+    objects, spread = Objects.of(listed), np.deg2rad([2.0, 2.0])
+    anywhere, middle = (posterior(line(), objects, Behaviour(*spread, aimed=aimed)) for aimed in (1.0, 0.4))
+    to_book = np.asarray(listed[1].shape.corners).mean(axis=0) - TIP
+    at_book = line(direction=np.asarray(to_book) / np.linalg.norm(to_book))
+    book = posterior(at_book, objects, Behaviour(*spread, aimed=0.4))
+    assert middle.probability[0] > 1.3 * anywhere.probability[0]
+    assert middle.order[0] == 0
+    assert book.order[0] == 1
 
 
 def test_large_objects_are_meant_more_often_where_the_prior_says_so():
