@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.pointing.bias.bias import Bias, Fitted
@@ -205,26 +205,26 @@ def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> P
 def _people(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> tuple[Float[np.ndarray, "2 2"], Spread]:
     """Covariance of people's offsets (rad^2), and how each one's gestures scatter about the person's own.
 
-    Scatter is told by differences of two gestures of one person, far apart in the order in which they were made: they
-    need no middle, which few gestures hardly tell. What it adds to the middles is taken off their covariance. Where
-    nobody pointed twice, all of the misses are called scatter.
+    Scatter is told by each gesture against the median of the same person's others, which errs as well: few gestures
+    hardly tell a middle. By as much the middles err of which people's covariance is made. Where nobody pointed twice,
+    all of the misses are called scatter.
     """
     count = np.bincount(who)
-    twice = np.flatnonzero(count[who] > 1)
-    if not len(twice):
+    twice = count[who] > 1
+    if not twice.any():
         return _BETWEEN_FLOOR * np.eye(2), fit_spread(misses, np.ones(len(who)))
-    pairs = np.concatenate([_far_pairs(np.flatnonzero(who == person)) for person in np.unique(who[twice])])
-    within = fit_spread((misses[pairs[:, 0]] - misses[pairs[:, 1]]) / np.sqrt(2), np.ones(len(pairs)))
+    others = np.stack([np.median(misses[_others(who, i)], axis=0) for i in np.flatnonzero(twice).tolist()])
+    shrink = np.sqrt(1 - 1 / count[who][twice])[:, None]
+    within = fit_spread(shrink * (misses[twice] - others), np.ones(len(others)))
     middles = _middles(misses, who)
     by_scatter = np.asarray(within.scale) * np.mean(1 / count)
     size, axes = np.linalg.eigh(middles.T @ middles / len(middles) - by_scatter)
     return (axes * np.maximum(size, _BETWEEN_FLOOR)) @ axes.T, within
 
 
-def _far_pairs(own: Int[np.ndarray, " g"]) -> Int[np.ndarray, "p 2"]:
-    """Each gesture with the one half of all gestures later, around the end."""
-    later = np.roll(own, -(len(own) // 2))
-    return np.stack([own, later], axis=1)[: len(own) if len(own) > 2 else 1]
+def _others(who: Int[np.ndarray, " G"], gesture: int) -> Bool[np.ndarray, " G"]:
+    """The other gestures of the same person."""
+    return (who == who[gesture]) & (np.arange(len(who)) != gesture)
 
 
 def _middles(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> Float[np.ndarray, "people 2"]:
