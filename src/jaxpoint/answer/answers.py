@@ -10,7 +10,7 @@ from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.answer.eyes import learnt_eyes
 from jaxpoint.answer.holds import Hold
@@ -20,7 +20,7 @@ from jaxpoint.answer.offsets import Ask, learnt_offsets, turned_lines
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import Hits, intersect
-from jaxpoint.pointing.joints import is_left
+from jaxpoint.pointing.joints import Joints, is_left
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.nearest import Nearest, nearest
@@ -194,7 +194,10 @@ def _own_offsets(
     ask: Ask,
 ) -> list[Hypothesis]:
     """The ways with people's own offsets learnt and taken off; `each` and `marginal` are brought up to date."""
-    left, told = np.asarray(jax.vmap(is_left)(held.joints)), list(ways)
+    told = list(ways)
+    if len(set(persons)) == len(persons):  # as one gesture alone, which must be answered at once
+        return told
+    left = np.asarray(_left_arms(held.joints))
     weighed = np.stack([way.weight for way in ways]) * marginal
     for i, way in enumerate(ways):
         learnt = learnt_offsets(way, weighed.sum(axis=0) - weighed[i], wrong, persons, left, ask)
@@ -206,6 +209,11 @@ def _own_offsets(
         offset[own] = learnt.offset
         told[i] = replace(way, lines=turned_lines(way.lines, offset, left), offset=offset)
     return told
+
+
+@jit
+def _left_arms(joints: Joints) -> Bool[Array, " G"]:
+    return jax.vmap(is_left)(joints)
 
 
 @dataclass(frozen=True)
