@@ -16,7 +16,7 @@ from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import CPU_OPTIONS, jit
 from jaxpoint.detect.arm import SLICES
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.person.arms import ArmReason, PointingArm, limb_span
 from jaxpoint.person.following import Following
 from jaxpoint.person.promise import strips_axis
@@ -25,22 +25,26 @@ from jaxpoint.triangulation import triangulate
 NUMBERS = 12  # coordinates of head, of the forearm's axis at elbow and wrist, and of the tip
 TIP_SIGMA_M = 0.006  # of a fingertip, however well the views agree: three of four are nearer to it
 FRAMES = 64  # of a hold that are used, at most; holds are padded to this
+_FAR_FIRST = np.ix_(np.r_[3:6, 0:3], np.r_[3:6, 0:3])  # of near and far
 # Quick to compile, and half as slow to run as with none of XLA's optimisations.
 _OPTIONS = {**CPU_OPTIONS, "xla_backend_optimization_level": 1}
 
 
 class ArmPixels(eqx.Module):
-    """What C cameras saw of one arm at one moment; hidden pixels never matter."""
+    """What C cameras saw of one arm at one moment; hidden pixels never matter.
 
-    slices: Float[Array, "C S 2"] = eqx.field(converter=as_float)  # px, middles of the limb's slices
+    Arrays stay in numpy where they are: each one that is handed to JAX by itself costs as much as a small program.
+    """
+
+    slices: Float[AnyArray, "C S 2"]  # px, middles of the limb's slices
     held: Bool[AnyArray, "C S"]  # which slices have a say
-    tip: Float[Array, "C 2"] = eqx.field(converter=as_float)  # px
+    tip: Float[AnyArray, "C 2"]  # px
     tip_seen: Bool[AnyArray, " C"]
-    head: Float[Array, "C 2"] = eqx.field(converter=as_float)  # px
+    head: Float[AnyArray, "C 2"]  # px
     head_seen: Bool[AnyArray, " C"]
-    start: Float[Array, "3"] = eqx.field(converter=as_float)  # m, on the axis beside the tip
-    direction: Float[Array, "3"] = eqx.field(converter=as_float)  # unit, with which the fit starts
-    span: Float[Array, "2"] = eqx.field(converter=as_float)  # m, in which slices count
+    start: Float[AnyArray, "3"]  # m, on the axis beside the tip
+    direction: Float[AnyArray, "3"]  # unit, with which the fit starts
+    span: Float[AnyArray, "2"]  # m, in which slices count
 
 
 def arm_numbers(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12"]:
@@ -123,7 +127,6 @@ def _covariance(arm: PointingArm, head_sigma: float) -> Float[np.ndarray, "12 12
     """Of one frame: the head's from its track, the axis's from its fit, the tip's from how far its views disagree."""
     covariance = np.zeros((NUMBERS, NUMBERS))
     covariance[:3, :3] = head_sigma**2 * np.eye(3)
-    swapped = np.r_[3:6, 0:3]  # far before near
-    covariance[3:9, 3:9] = np.asarray(arm.axis.ends_covariance)[np.ix_(swapped, swapped)]
+    covariance[3:9, 3:9] = np.asarray(arm.axis.ends_covariance)[_FAR_FIRST]
     covariance[9:, 9:] = max(arm.tip_spread, TIP_SIGMA_M) ** 2 * np.eye(3)
     return covariance

@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.distortion import Brown
+from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.pose import Pose, Similarity
@@ -156,21 +157,21 @@ def _mapped(cameras: Camera, function: Callable[[Camera], Any]) -> Any:
     return jax.vmap(function)(cameras)
 
 
-@eqx.filter_jit
+@jit
 def _project(rig: CameraRig, points: Array) -> Array:
     return jax.vmap(lambda camera: camera.project(points), out_axes=-2)(rig.cameras)
 
 
-@eqx.filter_jit
+@jit
 def _depth(rig: CameraRig, points: Array) -> Array:
     return jax.vmap(lambda camera: camera.depth(points), out_axes=-1)(rig.cameras)
 
 
-@eqx.filter_jit
+@jit
 def _undistort(rig: CameraRig, pixels: Array) -> tuple[Array, Array]:
     return jax.vmap(Camera.undistort, in_axes=(0, -2), out_axes=(-2, -1))(rig.cameras, pixels)
 
 
-@eqx.filter_jit
+@jit
 def _rays(rig: CameraRig, pixels: Array) -> Ray:
     return jax.vmap(Camera.ray, in_axes=(0, -2), out_axes=-2)(rig.cameras, pixels)
