@@ -3,7 +3,7 @@
 No image is drawn: joints are the simulator's, with the errors that pixels leave (head 8 mm, wrist 3, elbow and tip 4
 per axis). So no arm is missed and none is another limb's, which `pointing_evaluation.py` counts. Powers to which the
 probabilities are raised are held beside each other; `jaxpoint.answer.answers.SHARPER` was chosen on these seeds. Who
-points several times (--each) tells by them with which eye.
+points several times (--each) tells by them with which eye, and by how much the forearm misses.
 
     python experiments/pointing_reliability.py --powers 1 1.3
     python experiments/pointing_reliability.py --powers 1 1.3 --each 4 --seeds 500 520

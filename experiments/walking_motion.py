@@ -3,7 +3,8 @@
 Simulated people walk about a furnished room with flickering lights and six cameras. A second counts where the body
 moves by more than 0.3 m in it, so that seconds in which somebody starts or stops are among them, and at least 2,000
 pixels of the person are visible in a camera in the middle of it. It is found where that camera's intervals of motion
-hold all frames of it that show so much of the person. The threshold is learnt from the same camera's recording of the
+hold all frames of it that show so much of the person walking, faster than 0.3 m/s: who has not started yet stands
+still. The threshold is learnt from the same camera's recording of the
 empty room. Target: every second.
 
     python experiments/walking_motion.py --seeds 200 203
@@ -63,7 +64,8 @@ def walking_seconds(seed: int) -> tuple[int, int, int]:
             stop = start + round(rate)
             for person in _walkers(session, shown, start, stop):
                 walked += 1
-                found += all(active[frame] for frame in range(start + 1, stop) if person in _visible(shown[frame]))
+                steps = [f for f in range(start + 1, stop) if person in _visible(shown[f])]
+                found += all(active[f] for f in steps if _moved(session, person, f - 1, f) * rate > WALKED_M)
     return seed, found, walked
 
 
@@ -80,13 +82,15 @@ def _most_seeing(session, frames) -> list[int]:
 
 def _walkers(session, shown, start: int, stop: int) -> list[int]:
     """Who walks through these frames, visible in the middle of them."""
-    walkers = []
-    for actor in session.play.actors:
-        if actor.person.number in _visible(shown[(start + stop) // 2]):
-            places = [actor.joints(session.time_of(frame))["head"][:2] for frame in (start, stop)]
-            if np.linalg.norm(places[1] - places[0]) > WALKED_M:
-                walkers.append(actor.person.number)
-    return walkers
+    seen = _visible(shown[(start + stop) // 2])
+    return [person for person in sorted(seen) if _moved(session, person, start, stop) > WALKED_M]
+
+
+def _moved(session, person: int, first: int, last: int) -> float:
+    """How far a head moves over the floor from one frame to another, m."""
+    actor = next(actor for actor in session.play.actors if actor.person.number == person)
+    start, end = (actor.joints(session.time_of(frame))["head"][:2] for frame in (first, last))
+    return float(np.linalg.norm(end - start))
 
 
 def _visible(frame) -> set[int]:
