@@ -63,12 +63,12 @@ def by_hand(gesture: int) -> tuple[np.ndarray, np.ndarray, float]:
                 other = OTHERS[i] + WEIGHT[i] * density(*seen(i))
                 chance *= (1 - WRONG[i]) * other + WRONG[i] / (4 * np.pi)
         before += chance
-        offset += chance * angles
         azimuth, elevation = seen(gesture)
+        offset += chance * density(azimuth, elevation) * angles
         first = 1 / (1 + np.exp(-5 * azimuth - gesture))
         total += chance * density(azimuth, elevation)
         told += chance * density(azimuth, elevation) * np.array([first, 1 - first])
-    return offset / before, told / total, total / before
+    return offset / total, told / total, total / before
 
 
 def test_offsets_are_those_of_bayes():
@@ -146,4 +146,4 @@ def test_a_persons_other_gestures_tell_the_offset(hand, kind):
     meant = scene.centres[0] - one[0].origin
     off = np.degrees(np.arccos(one[0].direction @ meant / np.linalg.norm(meant)))
     assert off < 3.0  # it was 12
-    assert "this person's other gestures" in one[0].reasons[-1]
+    assert "this person's gestures" in one[0].reasons[-1]

@@ -321,8 +321,8 @@ def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surf
 
 
 def _learnt(way: Hypothesis, i: int) -> tuple[str, ...]:
-    """Says that the line was turned by what the person's other gestures tell."""
+    """Says that the line was turned by what the person's gestures tell."""
     if way.offset is None or not way.offset[i].any():
         return ()
     off = np.degrees(np.hypot(*way.offset[i]))
-    return (f"The line is turned by {off:.1f} degrees, by which this person's other gestures miss what is meant.",)
+    return (f"The line is turned by {off:.1f} degrees, by which this person's gestures miss what is meant.",)

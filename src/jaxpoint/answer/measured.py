@@ -9,7 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.answer.holds import Hold
 from jaxpoint.camera.camera import PARAMETERS, Camera
@@ -81,13 +81,13 @@ def frames_of(
     seen = np.zeros((len(holds), FRAMES), bool)
     heads = following.tracking.heads
     for i, hold in enumerate(holds):
-        chosen = np.unique(np.linspace(0, len(hold.moments) - 1, min(FRAMES, len(hold.moments))).astype(int))
-        for row, moment in enumerate(hold.moments[chosen]):
-            arm = arm_at(following, hold, int(moment))
-            head, sigma = heads.positions[moment, hold.person], heads.sigma[moment, hold.person]
-            values[i, row] = np.concatenate([head, arm.axis.far, arm.axis.near, arm.tip])
-            covariance[i, row] = _covariance(arm, float(sigma))
-            seen[i, row] = True
+        moments = hold.moments[_spread(len(hold.moments))]
+        arms = [arm_at(following, hold, int(moment)) for moment in moments]
+        head, sigma = heads.positions[moments, hold.person], heads.sigma[moments, hold.person]
+        rest = [np.concatenate([arm.axis.far, arm.axis.near, arm.tip]) for arm in arms]
+        values[i, : len(arms)] = np.concatenate([head, rest], axis=1)
+        covariance[i, : len(arms)] = _covariances(arms, sigma)
+        seen[i, : len(arms)] = True
     return values, covariance, seen
 
 
@@ -100,7 +100,7 @@ def arm_at(following: Following, hold: Hold, moment: int) -> PointingArm:
 
 def middle_moment(hold: Hold, weights: Float[np.ndarray, " F"]) -> int:
     """The moment of a hold that lies nearest to its mean: the one to be shown."""
-    chosen = np.unique(np.linspace(0, len(hold.moments) - 1, min(FRAMES, len(hold.moments))).astype(int))
+    chosen = _spread(len(hold.moments))
     return int(hold.moments[chosen][np.argmax(weights[: len(chosen)])])
 
 
@@ -123,10 +123,16 @@ def pixels_of(rig: CameraRig, following: Following, hold: Hold, moment: int) -> 
     return ArmPixels(slices, held, tips, tip_seen, np.asarray(rig.project(head)), head_seen, start, arm.direction, span)
 
 
-def _covariance(arm: PointingArm, head_sigma: float) -> Float[np.ndarray, "12 12"]:
-    """Of one frame: the head's from its track, the axis's from its fit, the tip's from how far its views disagree."""
-    covariance = np.zeros((NUMBERS, NUMBERS))
-    covariance[:3, :3] = head_sigma**2 * np.eye(3)
-    covariance[3:9, 3:9] = np.asarray(arm.axis.ends_covariance)[_FAR_FIRST]
-    covariance[9:, 9:] = max(arm.tip_spread, TIP_SIGMA_M) ** 2 * np.eye(3)
+def _spread(count: int) -> Int[np.ndarray, " some"]:
+    """Which of the moments of a hold are used: `FRAMES` at most, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int))
+
+
+def _covariances(arms: Sequence[PointingArm], head_sigma: Float[np.ndarray, " F"]) -> Float[np.ndarray, "F 12 12"]:
+    """Of each frame: the head's from its track, the axis's from its fit, the tip's from how far its views disagree."""
+    covariance = np.zeros((len(arms), NUMBERS, NUMBERS))
+    tip_sigma = np.maximum([arm.tip_spread for arm in arms], TIP_SIGMA_M)
+    covariance[:, :3, :3] = head_sigma[:, None, None] ** 2 * np.eye(3)
+    covariance[:, 3:9, 3:9] = np.array([arm.axis.ends_covariance for arm in arms])[:, *_FAR_FIRST]
+    covariance[:, 9:, 9:] = tip_sigma[:, None, None] ** 2 * np.eye(3)
     return covariance

@@ -1,8 +1,8 @@
 """By how much a person's own line misses what is meant, learnt from what the lines of all gestures meet.
 
 Who points with the forearm misses by much, but by nearly the same each time. So of all offsets that people have, those
-count under which the lines of a person's other gestures meet things that can be meant; nobody has to say what was
-meant. One gesture tells nothing of itself, and is answered as it would be alone.
+count under which the lines of a person's gestures meet things that can be meant; nobody has to say what was meant. Who
+points once is not told from others, and is answered as anybody.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ def turned_lines(
 
 @dataclass(frozen=True)
 class Learnt:
-    """What a person's other gestures make of one way of pointing, for the gestures of who points more than once."""
+    """What a person's gestures make of one way of pointing, for the gestures of who points more than once."""
 
     gestures: Int[np.ndarray, " g"]  # their numbers
-    offset: Float[np.ndarray, "g 2"]  # rad, to the left of a right arm and up: mean of what the other gestures tell
+    offset: Float[np.ndarray, "g 2"]  # rad, to the left of a right arm and up: mean of what all of them tell
     probability: Float[np.ndarray, "g answers"]
     marginal: Float[np.ndarray, " g"]  # density of the line whatever is meant
 
@@ -78,10 +78,10 @@ def learnt_offsets(
     mirrored: Bool[np.ndarray, " G"],
     ask: Ask,
 ) -> Learnt | None:
-    """One way of pointing once each person's offset has been learnt from that person's other gestures.
+    """One way of pointing once each person's offset has been learnt from that person's gestures.
 
-    Bayes' rule on a grid: prior of an offset times, over the other gestures, the density of each gesture under it,
-    whether it was made in this way or in another, or its arm was another limb.
+    Bayes' rule on a grid: prior of an offset times, over the other gestures, the density of each under it, whether it
+    was made in this way or in another, or its arm was another limb; times the gesture's own density in this way.
 
     Args:
         way: how people differ in it is known.
@@ -111,7 +111,7 @@ def learnt_offsets(
     own = joint.sum(axis=0)
     share = joint / np.where(own > 0, own, 1.0)
     told = np.einsum("og,oga->ga", share, told)
-    return Learnt(gestures, before.T @ grid.angles, told, own)
+    return Learnt(gestures, share.T @ grid.angles, told, own)
 
 
 def _shares(log_weights: Float[np.ndarray, "O g"]) -> Float[np.ndarray, "O g"]:
