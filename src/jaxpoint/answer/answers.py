@@ -161,10 +161,12 @@ def _by_way(
     for i, way in enumerate(ways):
         alike.setdefault(jax.tree.structure(way.behaviour), []).append(i)
     for places in alike.values():
-        asked = [
-            (ways[i].lines, jax.tree.map(partial(np.broadcast_to, shape=count), ways[i].behaviour)) for i in places
-        ]
-        lines, behaviour = jax.tree.map(lambda *leaves: np.concatenate(leaves), *asked)
+        lines, behaviour = ways[places[0]].lines, ways[places[0]].behaviour
+        if len(places) > 1:
+            asked = [
+                (ways[i].lines, jax.tree.map(partial(np.broadcast_to, shape=count), ways[i].behaviour)) for i in places
+            ]
+            lines, behaviour = jax.tree.map(lambda *leaves: np.concatenate(leaves), *asked)
         told, density = _asked(objects, evidence, lines, behaviour, np.tile(np.arange(count), len(places)))
         each[places], marginal[places] = told.reshape(len(places), count, -1), density.reshape(-1, count)
     return each, marginal

@@ -24,7 +24,8 @@ from jaxpoint.triangulation import triangulate
 
 NUMBERS = 12  # coordinates of head, of the forearm's axis at elbow and wrist, and of the tip
 TIP_SIGMA_M = 0.006  # of a fingertip, however well the views agree: three of four are nearer to it
-FRAMES = 64  # of a hold that are used, at most; holds are padded to this
+FRAMES = 64  # of a hold that are used, at most; holds are padded to this,
+FEW = 16  # or to this, where none is longer
 _FAR_FIRST = np.ix_(np.r_[3:6, 0:3], np.r_[3:6, 0:3])  # of near and far
 # Quick to compile, and half as slow to run as with none of XLA's optimisations.
 _OPTIONS = {**CPU_OPTIONS, "xla_backend_optimization_level": 1}
@@ -76,9 +77,10 @@ def frames_of(
 
     Of a longer hold `FRAMES` moments spread over it are taken.
     """
-    values = np.zeros((len(holds), FRAMES, NUMBERS))
-    covariance = np.zeros((len(holds), FRAMES, NUMBERS, NUMBERS))
-    seen = np.zeros((len(holds), FRAMES), bool)
+    size = FEW if max(len(hold.moments) for hold in holds) <= FEW else FRAMES
+    values = np.zeros((len(holds), size, NUMBERS))
+    covariance = np.zeros((len(holds), size, NUMBERS, NUMBERS))
+    seen = np.zeros((len(holds), size), bool)
     heads = following.tracking.heads
     for i, hold in enumerate(holds):
         moments = hold.moments[_spread(len(hold.moments))]
