@@ -175,6 +175,16 @@ def test_gestures_only_changes_bodies_and_has_one_person_at_a_time():
     assert not any(actor.present(PeopleSettings().empty_s - 0.01) for actor in play.actors)
 
 
+def test_the_room_is_empty_before_the_next_person():
+    settings = PeopleSettings(play="gestures", people=2, gestures=4)
+    near, far = (make_play(3, replace(settings, change_s=seconds), things(), ROOM) for seconds in (0.0, 2.5))
+    later = [
+        after.gestures[0].hold_first_s - before.gestures[0].hold_first_s
+        for before, after in zip(near.actors, far.actors)
+    ]
+    np.testing.assert_allclose(later, [0.0, 0.0, 2.5, 2.5])
+
+
 def test_gestures_point_at_objects_or_at_nothing():
     settings = PeopleSettings(play="gestures", people=40, gestures=80, nothing=0.4)
     objects = {thing.name: thing.corners.mean(axis=0) for thing in things()}

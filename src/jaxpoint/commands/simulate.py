@@ -95,7 +95,7 @@ def _outcome(out: Path, session: SimulatedSession, wave: bool) -> Outcome:
     lines = (
         f"{images} images of {len(session.viewpoints)} cameras, {session.play.duration_s:.1f} s, "
         f"{len(session.gestures)} gestures among {len(session.objects)} named objects",
-        f"Preview: {out / 'preview.png'}",
+        f"Preview: {out / 'preview.jpg'}",
         f"Session: {out}",
     )
     return Outcome(figures, lines)

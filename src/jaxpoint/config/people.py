@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, NotNegative, Positive
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Normal:
     """A normal distribution, drawn again outside its bounds."""
 
     mean: float
-    sd: Annotated[float, Meta(ge=0)]
+    sd: NotNegative
     low: float
     high: float
 
@@ -149,6 +149,9 @@ class PeopleSettings:
     """In `crossing`: how often the two pass each other."""
     empty_s: Positive = 2.0
     """The room is empty for so long at the start."""
+    change_s: NotNegative = 0.0
+    """In `gestures`: the room is empty for so much longer before the next person takes over. Whoever follows heads
+    takes people who come back within 2 s for who they were."""
     pause_s: Uniform = Uniform(0.3, 1.0)
     """Between what a person does."""
     sitting: Fraction = 0.2

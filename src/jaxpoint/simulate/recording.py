@@ -63,7 +63,7 @@ def write_session(
     if wave is not None:
         _write_wave(folder, wave, names, report)
         write_camera_centres(folder / "camera_centres.csv", session.rig, session.seed)
-    write_preview(folder / "preview.png", session)
+    write_preview(folder / "preview.jpg", session)
 
 
 def write_preview(path: Path, session: SimulatedSession) -> None:
@@ -78,7 +78,7 @@ def write_preview(path: Path, session: SimulatedSession) -> None:
     small = [cv2.resize(image, (SHEET_WIDTH, height), interpolation=cv2.INTER_AREA) for image in images]
     small += [np.zeros_like(small[0])] * (-len(small) % 2)
     rows = [np.hstack(small[i : i + 2]) for i in range(0, len(small), 2)]
-    path.write_bytes(cv2.imencode(".png", np.vstack(rows))[1].tobytes())
+    path.write_bytes(cv2.imencode(".jpg", np.vstack(rows))[1].tobytes())
 
 
 class _Videos:

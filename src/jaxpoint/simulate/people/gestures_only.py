@@ -30,6 +30,7 @@ def gestures_only(
     for number in range(settings.gestures):
         turn = number * settings.people // max(settings.gestures, 1)
         if performer is None or turn != performer.person.number:
+            now += settings.change_s if performer else 0.0
             performer = Performer.drawn(rng, turn, settings)
         gesture, stance = stand_and_point(rng, performer, settings, objects, room, now + LEAD_S)
         end = gesture.last_s + LEAD_S
