@@ -17,6 +17,7 @@ from jaxpoint.report.style import BAD, FAINT, INK, PAGE
 
 _ARM = "#e08214"
 _OTHER = "#3b82d0"
+_ELEVATION = 34  # degrees, from which the room is looked at
 _RING = np.linspace(0.0, 2 * np.pi, 41)
 _BODY = (("head", "shoulder"), ("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "tip"))
 
@@ -63,7 +64,7 @@ def room_view(room: RoomScene, scene: PointingScene) -> Figure:
     ax.set(xlim=(room.low[0], room.high[0]), ylim=(room.low[1], room.high[1]), zlim=(room.low[2], room.high[2]))
     ax.set(xlabel="x, m", ylabel="y, m", zlabel="z, m")
     ax.set_box_aspect(tuple(room.high - room.low), zoom=1.0)  # pyright: ignore[reportArgumentType]
-    ax.view_init(elev=34, azim=_azimuth(room, scene))
+    ax.view_init(elev=_ELEVATION, azim=_azimuth(room, scene))
     for axis in cast(list[Axis3D], [ax.xaxis, ax.yaxis, ax.zaxis]):
         axis.set_pane_color((0.5, 0.55, 0.6, 0.04))
         axis.line.set_color(FAINT)
@@ -73,11 +74,25 @@ def room_view(room: RoomScene, scene: PointingScene) -> Figure:
 
 
 def _azimuth(room: RoomScene, scene: PointingScene) -> float:
-    """From where to look, degrees: across the line, with the person nearer than what is behind."""
-    across = float(np.degrees(np.arctan2(scene.direction[1], scene.direction[0]))) - 75.0
-    middle, person = (room.low + room.high)[:2] / 2, scene.origin[:2]
-    seen_from = np.array([np.cos(np.deg2rad(across)), np.sin(np.deg2rad(across))])
-    return across if (person - middle) @ seen_from > -0.5 else across + 150.0
+    """From where to look, degrees: the line is long, what is meant faces us, the person is in front."""
+    person = (scene.origin - (room.low + room.high) / 2)[:2] / np.linalg.norm((room.high - room.low)[:2])
+    faces = room.faces.get(scene.meant, ()) if scene.meant else ()
+    up = np.deg2rad(_ELEVATION)
+
+    def merit(azimuth: float) -> float:
+        across = np.deg2rad(azimuth)
+        sight = np.array([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)])
+        length = float(np.linalg.norm(np.cross(scene.direction, sight)))
+        facing = max((_facing(face, sight) for face in faces), default=1.0)
+        return length + min(facing, 0.5) + float(person @ sight[:2])
+
+    return max(range(-180, 180, 15), key=merit)
+
+
+def _facing(face: Float[np.ndarray, "N 3"], sight: Float[np.ndarray, "3"]) -> float:
+    """Which share of a face's area is seen from there."""
+    spread = face - face.mean(axis=0)
+    return float(abs(np.linalg.svd(spread)[2][2] @ sight))
 
 
 def _box(ax: Axes3D, room: RoomScene) -> None:
