@@ -9,7 +9,9 @@ import pytest
 from scipy.special import softmax
 from scipy.stats import multivariate_t
 
-import elevation_bias as experiment
+from elevation_grid import Grid
+from elevation_study import ElevationBias, calibration_error, personal_turns, plain_means, probabilities, reliability
+from elevation_wall import Wall
 from jaxpoint.io.bias import read_bias
 from jaxpoint.pointing.bias.fit import fit
 from jaxpoint.pointing.bias.spread import Spread
@@ -17,15 +19,15 @@ from jaxpoint.pointing.bias.spread import Spread
 
 @pytest.fixture(scope="module")
 def settings(data_folder):
-    return experiment.ElevationBias(data=data_folder, triples=5)
+    return ElevationBias(data=data_folder, triples=5)
 
 
 def test_honest_probabilities_have_no_calibration_error():
     draw = np.random.default_rng(0)
     given = draw.uniform(0, 1, 200_000)
-    assert experiment.calibration_error(given, draw.random(given.size) < given) < 0.005
-    assert experiment.calibration_error(given, draw.random(given.size) < given**2) == pytest.approx(1 / 6, abs=0.01)
-    (mean, share, count), *_ = experiment.reliability(np.array([0.92, 0.98, 1.0]), np.array([1, 0, 1]))
+    assert calibration_error(given, draw.random(given.size) < given) < 0.005
+    assert calibration_error(given, draw.random(given.size) < given**2) == pytest.approx(1 / 6, abs=0.01)
+    (mean, share, count), *_ = reliability(np.array([0.92, 0.98, 1.0]), np.array([1, 0, 1]))
     assert (mean, share, count) == (pytest.approx(2.9 / 3), pytest.approx(2 / 3), 3)
 
 
@@ -34,7 +36,7 @@ def test_probabilities_are_bayes_rule():
     assert people.targets is not None
     scale = np.deg2rad([3.0, 2.0]) ** 2 * np.eye(2)
     directions = people.directions[:, 0]
-    found = experiment.probabilities(people, directions, people.targets, Spread(scale, np.array(4)))
+    found = probabilities(people, directions, people.targets, Spread(scale, np.array(4)))
     for k in range(len(people)):
         to = people.targets - people.origins[k, 0]
         off = np.arctan2(directions[k, 1], directions[k, 0]) - np.arctan2(to[:, 1], to[:, 0])
@@ -50,17 +52,17 @@ def test_triples_take_three_targets_and_are_told():
     own = people.select(people.who == 1)
     own = replace(own, directions=np.asarray(bias.correct(own.directions))[:, None])
     meant = np.arange(40) % 8
-    settings = experiment.ElevationBias(data=Path("."), triples=20)
-    turns, used = experiment.personal_turns(own, meant, bias, settings, 1)
+    settings = ElevationBias(data=Path("."), triples=20)
+    turns, used = personal_turns(own, meant, bias, settings, 1)
     assert turns.shape == (20, 2)
     assert {len(set(meant[row])) for row in used} == {3}
     assert (used.sum(axis=1) == 3).all()
-    again, _ = experiment.personal_turns(own, meant, bias, settings, 1)
+    again, _ = personal_turns(own, meant, bias, settings, 1)
     np.testing.assert_array_equal(turns, again)
 
 
 def test_the_wall_reproduces_what_was_recorded(settings):
-    wall = experiment.Wall(settings)
+    wall = Wall(settings)
     hits, surface = wall._hits(wall.own.directions[:, 0])
     assert np.mean(np.linalg.norm(hits - wall.read.hits, axis=1) < 1e-3) == pytest.approx(0.958, abs=5e-4)
     assert np.bincount(surface).tolist() == [4, 0, 1281, 11]
@@ -70,7 +72,7 @@ def test_the_wall_reproduces_what_was_recorded(settings):
 
 def test_the_forearm_of_the_package_is_the_studys(settings):
     """And it is within the wanted 4.9 degrees on people left out, as the plain means are where their notes say."""
-    grid = experiment.Grid(settings)
+    grid = Grid(settings)
     found = grid.forearm_bias()
     kept = read_bias(Path(__file__).parents[1] / "configs" / "forearm_bias.toml")
     assert kept.fitted.source == found.fitted.source
@@ -79,5 +81,5 @@ def test_the_forearm_of_the_package_is_the_studys(settings):
     assert found.fitted.median_deg == pytest.approx(kept.fitted.median_deg, abs=1e-3)
     assert found.fitted.median_deg <= 4.9
     own = grid.all.of_lines(("forearm",))
-    plain = grid._median(own, experiment.plain_means(own), "", "", "").value
+    plain = grid._median(own, plain_means(own), "", "", "").value
     assert plain == pytest.approx(5.25, abs=0.005)

@@ -7,7 +7,8 @@ import pytest
 
 from jaxpoint.detect.silhouette import never_clears
 from jaxpoint.io.video import open_frames
-from person_real import SETTINGS, is_forearm, joint_track, looked_at, read_video, still
+from person_balancing import is_forearm, joint_track, looked_at, still
+from person_pictures import SETTINGS, read_video
 from pose2sim import read_labels, video_rig
 
 CAMERA = 3  # cam04
