@@ -466,3 +466,16 @@ def test_version(capsys):
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
     assert (stop.value.code, capsys.readouterr().out.split()[0]) == (0, "jaxpoint")
+
+
+def test_force_never_replaces_what_is_read(run_folder, tmp_path, capsys):
+    """A session that was simulated carries the mark of a run; read and replaced at once it would be lost."""
+    before = sorted(path.name for path in run_folder.iterdir())
+    for read in (run_folder, run_folder / "calibration.json"):
+        assert main(["diff", str(read), str(run_folder), "--out", str(run_folder), "--force"]) == 2
+        assert "is read and lies where the results go; choose another --out" in capsys.readouterr().err
+    table = tmp_path / "lines.csv"
+    table.write_text("person\n")
+    assert main(["bias", "apply", str(table), "--bias", "b.toml", "--out", str(table), "--force"]) == 2
+    assert table.read_text() == "person\n"
+    assert sorted(path.name for path in run_folder.iterdir()) == before

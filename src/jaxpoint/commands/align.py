@@ -40,10 +40,9 @@ class Align(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Align, and write a new run beside the old one."""
         from jaxpoint.commands.written import written
-        from jaxpoint.runs import check_out, read_run
+        from jaxpoint.runs import read_run
 
-        out = self.needed_out("runs/room-m")
-        check_out(out, self.force)
+        out = self.needed_folder("runs/room-m")
         run = read_run(self.run_folder)
         given = (self.settings.landmarks, self.settings.landmark_pixels, self.settings.camera_centres)
         return written(

@@ -42,10 +42,8 @@ class Calibrate(Options):
         from jaxpoint.calibration.covariance import with_covariance
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.written import written
-        from jaxpoint.runs import check_out
 
-        out = self.needed_out("runs/room")
-        check_out(out, self.force)
+        out = self.needed_folder("runs/room")
         check_lens(self.settings.lens, self.input.intrinsics)
         tracks = tracks_from(self.tracks, self.input)
         intrinsics = intrinsics_from(self.input, tracks)

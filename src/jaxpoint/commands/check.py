@@ -47,9 +47,7 @@ class Check(SeededOptions):
         from jaxpoint.report.advice import advise_on_tracks
 
         if self.out is not None:
-            from jaxpoint.runs import check_out
-
-            check_out(self.out, self.force)
+            self.needed_folder("")
         tracks = tracks_from(self.tracks, self.input)
         intrinsics, pairs = intrinsics_from(self.input, tracks), pair_table(tracks)
         with console.progress() as progress:

@@ -61,10 +61,8 @@ class Demo(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """The answers, with what the truth says about them."""
         hush_opencv(self.verbose)
-        from jaxpoint.runs import check_out
 
-        out = self.needed_out("demo-run")
-        check_out(out, self.force)
+        out = self.needed_folder("demo-run")
         with embedded_session() as session, console.progress() as progress:
             outcome = self._answered(session, out, progress)
         if self.open and (os.name == "nt" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):

@@ -69,10 +69,8 @@ class DetectMarker(SeededOptions):
         from jaxpoint.person.marker_tips import marker_tips
         from jaxpoint.person.markers import learn_marker, watch_markers
         from jaxpoint.person.recording import default_cache
-        from jaxpoint.runs import check_out
 
-        out = self.needed_out("marker-run")
-        check_out(out, self.force)
+        out = self.needed_folder("marker-run")
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
         samples = read_marker_samples(self.samples, session, self.settings.marker.sample_radius_px)

@@ -67,10 +67,8 @@ class DetectPerson(SeededOptions):
         hush_opencv(self.verbose)
         from jaxpoint.io.session import open_session
         from jaxpoint.io.table import check_table_path
-        from jaxpoint.runs import check_out
 
-        out = self.needed_out("person-run")
-        check_out(out, self.force)
+        out = self.needed_folder("person-run")
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
         with console.progress() as progress:

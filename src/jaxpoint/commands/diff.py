@@ -47,9 +47,7 @@ class Diff(Options):
         from jaxpoint.report.difference import difference_table, figures_of, sentences
 
         if self.out is not None:
-            from jaxpoint.runs import check_out
-
-            check_out(self.out, self.force)
+            self.needed_folder("")
         compared = compare(self.first, self.second, align=not self.no_align)
         shown = difference_table(compared)
         lines = (*table(shown.header, shown.rows), *sentences(compared))

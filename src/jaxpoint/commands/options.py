@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,12 +42,25 @@ class Options:
             raise UsageError(f"Say where the results go: --out {example}")
         return self.out
 
+    def needed_folder(self, example: str) -> Path:
+        """`--out`, where it is a new folder, looked at before any work is done.
+
+        Raises:
+            UsageError: it was not given, cannot be used (see `jaxpoint.runs.check_out`), or holds what is read.
+        """
+        from jaxpoint.runs import check_out
+
+        out = self.needed_out(example)
+        check_out(out, self.force)
+        self._spare_inputs(out)
+        return out
+
     def needed_file(self, example: str) -> Path:
         """`--out`, where it is one new file.
 
         Raises:
-            UsageError: it was not given, ends otherwise than the example, exists (without `--force`), or its folder
-                does not.
+            UsageError: it was not given, ends otherwise than the example, exists (without `--force`), is read by the
+                command, or its folder does not exist.
         """
         out, ending = self.needed_out(example), Path(example).suffix
         if out.suffix != ending:
@@ -55,7 +69,18 @@ class Options:
             raise UsageError(f"'{out}' exists; choose another --out, or replace it by --force.")
         if not out.absolute().parent.is_dir():
             raise UsageError(f"There is no folder '{out.parent}'; make it, or choose another --out.")
+        self._spare_inputs(out)
         return out
+
+    def _spare_inputs(self, out: Path) -> None:
+        """Refuse to replace what the command reads, be it all of `out` or a file within."""
+        place = out.resolve()
+        for field_ in fields(self):
+            if field_.name in ("out", "cache", "runtime"):
+                continue
+            for path in _paths(getattr(self, field_.name)):
+                if path.exists() and path.resolve().is_relative_to(place):
+                    raise UsageError(f"'{path}' is read and lies where the results go; choose another --out.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,3 +98,15 @@ class Outcome:
     figures: dict[str, Any]
     lines: tuple[str, ...] = ()
     failure: JaxpointError | None = None
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """All paths in a setting, however deep."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, tuple | list):
+        for part in value:
+            yield from _paths(part)
+    elif is_dataclass(value):
+        for part in fields(value):
+            yield from _paths(getattr(value, part.name))

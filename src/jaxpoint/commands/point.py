@@ -86,10 +86,8 @@ class Point(SeededOptions):
         from jaxpoint.answer.sentence import as_json, check_speaker, sentence, speak
         from jaxpoint.commands.answered import write_answers
         from jaxpoint.io.table import check_table_path
-        from jaxpoint.runs import check_out
 
-        out = self.needed_out("answers")
-        check_out(out, self.force)
+        out = self.needed_folder("answers")
         check_table_path(out / f"gestures.{self.format}")
         if self.settings.line == "blend":
             check_blend(self.settings.blend)

@@ -49,13 +49,12 @@ class Simulate(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Write the session's folder, whole or not at all."""
-        from jaxpoint.runs import MARK, check_out, new_run, provenance, write_json
+        from jaxpoint.runs import MARK, new_run, provenance, write_json
         from jaxpoint.simulate.recording import write_session
         from jaxpoint.simulate.session import simulate_session
         from jaxpoint.simulate.wave import simulate_wave
 
-        out = self.needed_out("session")
-        check_out(out, self.force)
+        out = self.needed_folder("session")
         with console.progress() as progress:
             session = simulate_session(self._resolved(), self.seed, progress)
             wave = simulate_wave(session) if self.wave else None

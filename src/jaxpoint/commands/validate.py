@@ -41,13 +41,13 @@ class Validate(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Every test that was asked for; too large an error of the lengths is a failure of the outcome."""
-        from jaxpoint.runs import check_out, read_run
+        from jaxpoint.runs import read_run
 
         chosen = self.settings
         if chosen.lengths is None and chosen.tracks is None and not chosen.held_out:
             raise UsageError("Say what to hold the calibration against: --lengths, --tracks or --held-out.")
         if self.out is not None:
-            check_out(self.out, self.force)
+            self.needed_folder("")
         run = read_run(self.run_folder)
         figures: dict[str, Any] = {}
         lines: list[str] = []
