@@ -38,7 +38,7 @@ def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | Non
     found = []
     for camera, video in enumerate(session.videos):
         index = session.frame_index[list(moments), camera]
-        frames = dict(open_frames(video).stream(np.unique(index[index >= 0])))
+        frames = dict(open_frames(video).readable(np.unique(index[index >= 0])))
         found.append([frames.get(int(frame)) for frame in index])
     return found
 

@@ -30,8 +30,25 @@ class Timestamps:
 
     @property
     def times(self) -> Float[np.ndarray, " F"]:
-        """Mean time of each moment over the cameras that have a frame, s."""
-        return self.frame_time.sum(axis=1) / self.present.sum(axis=1)
+        """Mean time of each moment over all cameras, s: where one has no frame, what its clock would have shown.
+
+        Clocks differ, so that the mean over those that have a frame would jump where one drops out.
+        """
+        ahead = self._ahead()
+        own = np.where(self.present, self.frame_time - ahead, 0.0)
+        return own.sum(axis=1) / self.present.sum(axis=1) + ahead.mean(axis=1)
+
+    def _ahead(self) -> Float[np.ndarray, "F C"]:
+        """By how much each clock is ahead of that of the camera with most frames, s; between common frames in line."""
+        best = int(self.present.sum(axis=0).argmax())
+        ahead = np.zeros(self.frame_time.shape)
+        moments = np.arange(len(ahead))
+        for camera in range(len(self.cameras)):
+            common = np.flatnonzero(self.present[:, camera] & self.present[:, best])
+            if len(common):
+                gap = self.frame_time[common, camera] - self.frame_time[common, best]
+                ahead[:, camera] = np.interp(moments, common, gap)
+        return ahead
 
     def select(self, names: Sequence[str]) -> Timestamps:
         """The columns of some cameras in the order given; 'cam_3', 'cam3' and '3' mean the same camera.

@@ -48,6 +48,16 @@ class FrameSource(ABC):
             FileFormatError: an image cannot be decoded, has another size, or the video ends early.
         """
 
+    def readable(
+        self, indices: Int[np.ndarray, " N"], lost: list[FileFormatError] | None = None
+    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
+        """Like `stream`, but what cannot be decoded is left out, and what it says is added to `lost`."""
+        try:
+            yield from self.stream(indices)
+        except FileFormatError as error:
+            if lost is not None:
+                lost.append(error)
+
 
 class ImageFolder(FrameSource):
     """A folder of images in natural order (`2.jpg` before `10.jpg`).
@@ -85,6 +95,12 @@ class ImageFolder(FrameSource):
     def stream(self, indices: Int[np.ndarray, " N"] | None = None) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
         for index in range(len(self)) if indices is None else indices:
             yield int(index), self.read(int(index))
+
+    def readable(
+        self, indices: Int[np.ndarray, " N"], lost: list[FileFormatError] | None = None
+    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
+        for index in indices:  # one bad file says nothing of those after it
+            yield from super().readable(np.array([index]), lost)
 
 
 class VideoFile(FrameSource):

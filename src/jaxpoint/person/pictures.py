@@ -63,7 +63,7 @@ def well_apart(worth: Float[np.ndarray, " F"], count: int = MOMENTS) -> list[int
 def images_of(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
     """One camera's images of some moments; None where it has none."""
     index = session.frame_index[moments, camera]
-    found = dict(open_frames(session.videos[camera]).stream(np.unique(index[index >= 0])))
+    found = dict(open_frames(session.videos[camera]).readable(np.unique(index[index >= 0])))
     return [found.get(int(frame)) for frame in index]
 
 

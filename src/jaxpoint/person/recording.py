@@ -144,28 +144,34 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
 
 
 class Frames:
-    """The frames of one camera by moment; a video that ends early leaves moments without one, and a note."""
+    """The frames of one camera by moment; what cannot be decoded leaves moments without one, and a note."""
 
     def __init__(self, job: CameraJob, source: FrameSource):
         self._job, self._source = job, source
         self.notes: list[str] = []
 
-    def read(self) -> Iterator[tuple[int, Image | None]]:
-        """Moment and image."""
+    def read(self) -> Iterator[tuple[int, Image]]:
+        """Moment and image.
+
+        Raises:
+            FileFormatError: none can be decoded.
+        """
         moments = np.flatnonzero(self._job.frame_index >= 0)
         index = self._job.frame_index[moments]
         order = np.argsort(index, kind="stable")
         moment_of = dict(zip(index[order].tolist(), moments[order].tolist()))
-        last = -1
-        try:
-            for frame, image in self._source.stream(np.unique(index)):
-                last = moment_of[frame]
-                yield last, image
-        except FileFormatError as error:
-            if last < 0:
-                raise
-            lost = int((moments > last).sum())
-            self.notes.append(f"Camera '{self._job.name}' stops at moment {last}, {lost} before the end: {error}")
+        lost: list[FileFormatError] = []
+        read: list[int] = []
+        for frame, image in self._source.readable(np.unique(index), lost):
+            read.append(moment_of[frame])
+            yield read[-1], image
+        if lost and not read:
+            raise lost[0]
+        if lost:
+            last = max(read)
+            after = int((moments > last).sum())
+            where = f"stops at moment {last}, {after} before the end" if after else f"lacks {len(lost)} images"
+            self.notes.append(f"Camera '{self._job.name}' {where}: {lost[0]}")
 
 
 def _edge_counts(source: FrameSource, settings: PersonSettings) -> Int[np.ndarray, " P"]:
@@ -176,7 +182,7 @@ def _edge_counts(source: FrameSource, settings: PersonSettings) -> Int[np.ndarra
     first = np.unique(np.linspace(0, len(source) - 2, pairs).astype(int))
     wanted = np.unique(np.concatenate([first, first + 1]))
     counts, previous = [], (-2, None)
-    for index, image in _until_end(source, wanted):
+    for index, image in _decodable(source, wanted):
         if previous[0] == index - 1 and previous[1] is not None:
             counts.append(motion_between(previous[1], image, settings.motion).edges)
         previous = index, image
@@ -185,19 +191,22 @@ def _edge_counts(source: FrameSource, settings: PersonSettings) -> Int[np.ndarra
 
 def _spread(source: FrameSource, count: int) -> list[Image]:
     wanted = np.unique(np.linspace(0, len(source) - 1, min(count, len(source))).astype(int))
-    return [image for _, image in _until_end(source, wanted)]
+    return [image for _, image in _decodable(source, wanted)]
 
 
-def _until_end(source: FrameSource, wanted: np.ndarray) -> Iterator[tuple[int, Image]]:
-    """The frames that can be decoded; a video that ends early was, or will be, spoken of elsewhere."""
+def _decodable(source: FrameSource, wanted: np.ndarray) -> Iterator[tuple[int, Image]]:
+    """The frames that can be decoded; those that cannot were, or will be, spoken of elsewhere.
+
+    Raises:
+        FileFormatError: none can.
+    """
+    lost: list[FileFormatError] = []
     started = False
-    try:
-        for index, image in source.stream(wanted):
-            started = True
-            yield index, image
-    except FileFormatError:
-        if not started:
-            raise
+    for index, image in source.readable(wanted, lost):
+        started = True
+        yield index, image
+    if lost and not started:
+        raise lost[0]
 
 
 def camera_job(session: Session, camera: int, settings: PersonSettings, cache: Path | None) -> CameraJob:
