@@ -28,7 +28,7 @@ def test_frames_of_each_moment(tmp_path, frame_index, camera):
     assert stamps.cameras == ("0", "1")
     assert stamps.sync_indices.tolist() == [10, 11, 12, 13]
     np.testing.assert_array_equal(stamps.frame_index, [[0, -1], [1, 0], [-1, 1], [2, 2]])
-    np.testing.assert_allclose(stamps.times, [1.0, 1.105, 1.21, 1.305])
+    np.testing.assert_allclose(stamps.times, [1.005, 1.105, 1.205, 1.305])
 
 
 def test_tracks_come_to_common_moments(tmp_path):
@@ -43,9 +43,21 @@ def test_tracks_come_to_common_moments(tmp_path):
     np.testing.assert_array_equal(together.visible, [[0, 1], [1, 1], [0, 0], [1, 1]])
     assert together.names == ("cam_1", "cam_0")
     assert together.frame_ids.tolist() == [10, 11, 12, 13]
-    np.testing.assert_allclose(together.times, [1.0, 1.105, 1.21, 1.305])
+    np.testing.assert_allclose(together.times, [1.005, 1.105, 1.205, 1.305])
     with pytest.raises(InsufficientDataError, match="frame 2 of camera 'cam_1', but the tracks end at frame 1"):
         synchronise(tracks.select_frames(np.arange(2)), stamps)
+
+
+def test_times_rise_where_cameras_of_other_clocks_drop_out(tmp_path):
+    """Three clocks, one 5 s ahead and one that runs fast; the mean over those that have a frame would jump."""
+    rows = [
+        (moment, camera, moment, moment / 25 * rate + ahead)
+        for camera, (ahead, rate) in enumerate([(0.0, 1.0), (5.0, 1.0), (0.2, 1.01)])
+        for moment in range(100)
+        if (moment + camera) % 4 and not (camera == 2 and moment > 60)
+    ]
+    times = read_timestamps(write(tmp_path / "timestamps.csv", rows)).times
+    np.testing.assert_allclose(np.diff(times), 0.04, atol=0.001)
 
 
 def test_select_by_any_spelling(tmp_path):

@@ -125,3 +125,13 @@ def test_a_truncated_video_says_how_many_frames_were_decoded(tmp_path):
     source = open_frames(cut)
     with pytest.raises(FileFormatError, match=r"ends early: \d\d of 60 frames"):
         list(source.stream())
+
+
+def test_what_cannot_be_decoded_is_left_out_where_that_is_asked_for(tmp_path, video):
+    for number in range(4):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), picture(number))
+    (tmp_path / "1.png").write_bytes(b"")
+    lost = []
+    assert [index for index, _ in open_frames(tmp_path).readable(np.arange(4), lost)] == [0, 2, 3]
+    assert "1.png' (0 bytes) cannot be decoded" in str(lost[0])
+    assert [index for index, _ in open_frames(video).readable(np.arange(2))] == [0, 1]

@@ -116,6 +116,20 @@ def test_away_for_longer_is_a_new_person(alone):
     assert (heads.status[25:60] == Status.ABSENT).all()
 
 
+def test_whom_two_views_see_again_beside_where_he_was_lost_keeps_his_id(alone):
+    """Nobody else is there whose rays could cross."""
+    places = alone.places[:, 0] + np.where(np.arange(len(alone.times)) < 60, 0.0, 0.6)[:, None] * [0, 1, 0]
+    exact, inside = alone.room.seen(places)
+    two = np.flatnonzero(inside[66:].all(axis=0))[:2]
+    pixels, valid = alone.pixels.copy(), alone.valid.copy()
+    pixels[:, :, 0], valid[:, :, 0] = exact, inside
+    stepped = replace(alone, pixels=pixels, valid=valid)
+    others = np.setdiff1d(np.arange(valid.shape[1]), two)
+    heads = tracked(hidden(hidden(stepped, slice(60, 66)), slice(66, None), others)).heads
+    assert heads.people.tolist() == [1]
+    assert heads.measured[68:90, 0].all()
+
+
 def test_what_is_hidden_never_matters(alone):
     spoilt = alone.pixels.copy()
     spoilt[~alone.valid] = np.nan

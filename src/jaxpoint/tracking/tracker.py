@@ -149,7 +149,7 @@ def _step(
     near[: len(expected)] = near_prediction(rays, expected, settings).any(axis=1)
     status[near & (views == 0)] = Status.AMBIGUOUS
     mean, square = np.asarray(states.mean), np.asarray(states.covariance)
-    beside = beside_others(mean[:, :3], np.array([track.person > 0 for track in tracks], bool))
+    beside = beside_others(mean[:, :3], np.array([track.person > 0 for track in tracks], bool) & (views > 0))
     after = [track.after(time, int(views[i]), bool(beside[i]), mean[i], square[i]) for i, track in enumerate(tracks)]
     heads = FrameHeads(tuple(after), status, candidates, points, informations, distances2).select(accepted | ~is_new)
     tracks, people = named(list(heads.tracks), state.people, settings)
