@@ -244,7 +244,7 @@ def versions() -> dict[str, str]:
 
 
 def _files(path: Path) -> list[Path]:
-    """The file itself, or the data files directly in a folder (pictures are left out: tracks are made from them)."""
+    """The file itself, or the data files directly in a folder; its pictures are left out, which are thousands."""
     if path.is_file():
         return [path]
     wanted = {".dat", ".rad", ".txt", ".csv", ".toml", ".json", ".npz"}

@@ -12,6 +12,7 @@ import pytest
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import main
 from jaxpoint.config.person import PersonSettings, SilhouetteSettings
+from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.session import open_session
 from jaxpoint.person import recording
@@ -161,3 +162,30 @@ def test_wrong_input_is_told_in_a_sentence_and_leaves_nothing(session, cache, tm
     assert run(other, tmp_path / "run", cache) == 2
     assert "no camera 'cam_2'" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_one_image_that_is_cut_off_costs_one_moment(session, cache, tmp_path):
+    torn = tmp_path / "torn"
+    shutil.copytree(session, torn)
+    (torn / "videos" / "cam_1" / f"{10 + 3}.png").write_bytes(b"")
+    assert run(torn, tmp_path / "run", cache) == 0
+    lacking = [row for row in rows(tmp_path / "run" / "detections.csv") if row["reason"] == "no_image"]
+    assert [(row["frame"], row["camera"]) for row in lacking] == [("13", "cam_1")]
+    notes = json.loads((tmp_path / "run" / "metrics.json").read_text())["notes"]
+    assert any("lacks 1 image" in note and "13.png' (0 bytes)" in note for note in notes)
+
+
+def test_all_that_was_read_is_on_record(session):
+    read = [str(path.relative_to(session)) for path in open_session(session).files]
+    assert read[3:5] == ["timestamps.csv", "calibration.json"]
+    assert sorted(read[:3] + read[5:]) == [f"{kind}/cam_{k}" for kind in ("empty", "videos") for k in range(3)]
+
+
+def test_names_of_cameras_are_one_to_one(session, tmp_path):
+    twice = tmp_path / "twice"
+    shutil.copytree(session, twice)
+    (twice / "empty" / "cam_1").rename(twice / "empty" / "door")
+    assert any("'door', which is no camera here" in note for note in open_session(twice).notes)
+    (twice / "videos" / "cam_1.mp4").write_bytes(b"")
+    with pytest.raises(FileFormatError, match="both of camera 'cam_1'; keep one"):
+        open_session(twice)

@@ -50,7 +50,7 @@ def write_answers(
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     assert session.rig is not None
-    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session], command.seed)
+    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), command.inputs(session), command.seed)
     config = RoomConfig(detect=DetectSettings(person=command.person), track=command.track, point=command.settings)
     gestures = [as_json(answer) for answer in pointed.answers]
     figures: dict[str, Any] = {"gestures": gestures, "notes": list(pointed.notes), "moments": len(session.moments)}

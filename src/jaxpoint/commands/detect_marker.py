@@ -105,7 +105,7 @@ def _write(
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = {"run": str(out), **_figures(session, model, markers, tips)}
-    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session, command.samples], command.seed)
+    made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [*session.files, command.samples], command.seed)
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)

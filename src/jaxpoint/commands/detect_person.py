@@ -121,7 +121,7 @@ def _write(
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
-    inputs = [command.session, *([command.landmarks] if command.landmarks else [])]
+    inputs = [*session.files, *([command.landmarks] if command.landmarks else [])]
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), inputs, command.seed)
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)

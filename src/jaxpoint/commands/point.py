@@ -128,7 +128,8 @@ class Point(SeededOptions):
             known, covariance = saved.rig.names, saved.covariance
         else:
             known, covariance = calibration.rig.names, calibration.camera_covariance
-            session = replace(session, rig=calibration.rig.select([known.index(name) for name in session.names]))
+            rig = calibration.rig.select([known.index(name) for name in session.names])
+            session = replace(session, rig=rig, calibration=None)
             assert session.rig is not None
         following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
         found = pointed(
@@ -159,6 +160,11 @@ class Point(SeededOptions):
 
         poses = read_poses(self.landmarks or Path(), session, self.min_confidence)
         return follow_poses(rig, session, poses, views_of_poses(session, poses), self.track, progress)
+
+    def inputs(self, session: Session) -> list[Path]:
+        """All files that the answers were made from."""
+        given = (self.bias, self.times, self.words, self.landmarks)
+        return [*session.files, self._objects_file(), *(path for path in given if path is not None)]
 
     def _objects_file(self) -> Path:
         if self.objects is not None:

@@ -46,6 +46,13 @@ class Session:
     rig: CameraRig | None  # in the order of `names`, m
     empty: tuple[Path | None, ...]  # recordings of the empty room
     notes: tuple[str, ...]  # what a user should know of the recording, a sentence each
+    timestamps: Path | None = None
+    calibration: Path | None = None  # of which `rig` is
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All that the session was read from, folders of images among it."""
+        return (*self.videos, *(path for path in (self.timestamps, self.calibration, *self.empty) if path is not None))
 
 
 def open_session(folder: Path, calibration: Path | None = None) -> Session:
@@ -77,6 +84,9 @@ def open_session(folder: Path, calibration: Path | None = None) -> Session:
     path = calibration or (folder / "calibration.json")
     rig = _rig(path, names, sizes) if calibration is not None or path.is_file() else None
     empty = recordings(folder / "empty")
+    strange = sorted(set(empty) - set(names))
+    if strange:
+        notes = [*notes, f"'{folder / 'empty'}' holds '{strange[0]}', which is no camera here; name both alike."]
     return Session(
         folder,
         names,
@@ -88,19 +98,28 @@ def open_session(folder: Path, calibration: Path | None = None) -> Session:
         rig,
         tuple(empty.get(name) for name in names),
         tuple(notes),
+        stamps if stamps.is_file() else None,
+        None if rig is None else path,
     )
 
 
 def recordings(folder: Path) -> dict[str, Path]:
-    """The videos and folders of images in a folder, by the camera's name; none where there is no such folder."""
+    """The videos and folders of images in a folder, by the camera's name; none where there is no such folder.
+
+    Raises:
+        FileFormatError: two of one name.
+    """
     if not folder.is_dir():
         return {}
-    found = {}
-    for path in folder.iterdir():
-        if path.is_dir() and any(file.suffix.lower() in IMAGE_SUFFIXES for file in path.iterdir()):
-            found[path.name] = path
-        elif path.suffix.lower() in VIDEO_SUFFIXES:
-            found[path.stem] = path
+    found: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        images = path.is_dir() and any(file.suffix.lower() in IMAGE_SUFFIXES for file in path.iterdir())
+        if not images and path.suffix.lower() not in VIDEO_SUFFIXES:
+            continue
+        name = path.name if images else path.stem
+        if name in found:
+            raise FileFormatError(f"'{found[name]}' and '{path}' are both of camera '{name}'; keep one of them there.")
+        found[name] = path
     return found
 
 

@@ -170,7 +170,11 @@ class Frames:
         if lost:
             last = max(read)
             after = int((moments > last).sum())
-            where = f"stops at moment {last}, {after} before the end" if after else f"lacks {len(lost)} images"
+            where = (
+                f"stops at moment {last}, {after} before the end"
+                if after
+                else f"lacks {len(lost)} image{'s' * (len(lost) > 1)}"
+            )
             self.notes.append(f"Camera '{self._job.name}' {where}: {lost[0]}")
 
 
