@@ -46,6 +46,22 @@ def test_paths_count_from_the_file_and_are_written_absolute(tmp_path, monkeypatc
         ("[align]\nlandmarks = 3", "'align.landmarks' cannot be used: expected a path in quotes"),
         ("calibrate = 3", "'calibrate' cannot be used"),
         ("[calibrate", "cannot be read as TOML"),
+        ("[simulate]\nframes_per_second = 0.001", "'simulate.frames_per_second' cannot be used: Expected `float` >= 0"),
+        ("[simulate.wave]\nframes = 1", "'simulate.wave.frames' cannot be used: Expected `int` >= 2"),
+        ("[simulate.viewpoints]\nsize = [3, 2]", "size[0]' cannot be used: Expected `int` >= 32 (given: [3, 2])"),
+        ("[simulate.viewpoints]\nsize = [96, 55]", "size[1]' cannot be used: Expected `int` that's a multiple of 2"),
+        (
+            "[simulate.sensor]\nshutter_s = { low = 3, high = 1 }",
+            "'simulate.sensor.shutter_s' cannot be used: low = 3 and high = 1 are no range",
+        ),
+        (
+            "[simulate.people]\nturn_deg = { mean = 2, sd = 1, low = nan, high = 1 }",
+            "'simulate.people.turn_deg' cannot be used: low = nan and high = 1 are no range",
+        ),
+        (
+            "[simulate.people.looks]\nsleeves = { none = 0, short = 0, elbow = 0, rolled = 0, long = 0 }",
+            "'simulate.people.looks.sleeves' cannot be used: all shares are 0",
+        ),
     ],
 )
 def test_a_bad_file_is_refused_by_the_path_of_its_key(tmp_path, text, message):

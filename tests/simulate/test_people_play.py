@@ -6,8 +6,9 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from jaxpoint.config.people import PeopleSettings, Uniform
+from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import SceneSettings, ViewpointSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.floor import Chair, Floor
 from jaxpoint.simulate.people.gait import TOES, Walk
@@ -226,6 +227,19 @@ def test_a_room_without_free_floor_is_refused(play):
         make_play(0, PeopleSettings(play=play), things(), full)
 
 
-def test_bounds_the_wrong_way_round_are_refused():
-    with pytest.raises(ValueError, match="lower bound above"):
-        make_play(0, PeopleSettings(play="gestures", pause_s=Uniform(2.0, 1.0)), things(), ROOM)
+@pytest.mark.parametrize(
+    ("play", "people", "message"),
+    [
+        ("crossing", 3, "2 people pass each other, not 3"),
+        ("crossing", 0, "2 people pass each other, not 0"),
+        ("session", 0, "nobody makes the 8 gestures"),
+        ("gestures", 0, "nobody makes the 8 gestures"),
+    ],
+)
+def test_a_play_that_its_people_cannot_make_is_refused(play, people, message):
+    with pytest.raises(UsageError, match=message):
+        make_play(0, PeopleSettings(play=play, people=people), things(), ROOM)
+
+
+def test_without_people_and_gestures_the_room_stays_empty():
+    assert make_play(0, PeopleSettings(people=0, gestures=0), things(), ROOM).actors == ()

@@ -9,7 +9,7 @@ from jaxpoint.config.simulation import SceneSettings, ViewpointSettings
 from jaxpoint.simulate.capsules import Capsule
 from jaxpoint.simulate.lighting import light_room
 from jaxpoint.simulate.mesh import Mesh, Part
-from jaxpoint.simulate.render import RoomView, draw_people, label_of, light_people, render_room, samples_alone
+from jaxpoint.simulate.render import COARSE, RoomView, draw_people, label_of, light_people, render_room, samples_alone
 from jaxpoint.simulate.scene import make_scene
 from jaxpoint.simulate.viewpoints import random_viewpoints, rig_of
 
@@ -150,6 +150,20 @@ def test_people_shade_the_floor_and_not_the_ceiling(room, views):
     assert floor.sum() > 200
     y, _ = np.nonzero(floor)
     assert np.quantile(y, 0.05) > SIZE[1] / 4
+
+
+@pytest.mark.parametrize("size", [(96, 52), (97, 53), (98, 54), (99, 55)])
+def test_shadows_reach_the_edges_of_images_of_every_size(room, size):
+    scene, light = room
+    (view,) = random_viewpoints(np.random.default_rng(5), ViewpointSettings(size=size, cameras=1), scene)
+    empty = render_room(view, scene, light)
+    assert empty.lamp_shares.shape[1:] == (-(-size[1] // COARSE), -(-size[0] // COARSE))
+    mesh = arm_at(PLACE)
+    people = light_people(mesh, mesh, light)
+    everywhere = replace(people, coverage=np.ones_like(people.coverage), distance=np.zeros_like(people.distance))
+    darker = draw_people(view, empty, everywhere).image < empty.image
+    assert darker[-1].mean() > 0.9
+    assert darker[:, -1].mean() > 0.9
 
 
 def test_furniture_hides_people(room, views):

@@ -11,6 +11,7 @@ from jaxpoint.cli import main
 from jaxpoint.config import load_config
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings, ViewpointSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.session import open_session
 from jaxpoint.io.timestamps import read_timestamps
@@ -158,6 +159,37 @@ def test_light_flickers_and_drifts_by_what_is_asked(session):
 def test_asking_a_stopped_camera_is_an_error(session):
     with pytest.raises(ValueError, match="Camera 1 has no image of moment"):
         session.frame(session.clocks.moments - 1, 1)
+
+
+def test_a_play_shorter_than_a_frame_is_refused():
+    slow = replace(SETTINGS, frames_per_second=0.01, people=PeopleSettings(play="empty", empty_s=4.0))
+    with pytest.raises(UsageError, match=r"lasts 4\.0 s.* at 0\.01 frames a second; .* to 0\.25 or more"):
+        simulate_session(slow, 11)
+
+
+def test_flags_go_before_the_file_and_the_file_before_the_defaults(tmp_path, monkeypatch):
+    (tmp_path / "room.toml").write_text("[simulate]\nviewpoints.size = [64, 36]\npeople = { gestures = 3, people = 5 }")
+    asked = []
+
+    def noted(settings, *_):
+        asked.append(settings)
+        raise UsageError("noted")
+
+    monkeypatch.setattr("jaxpoint.simulate.session.simulate_session", noted)
+    command = ["simulate", "--config", str(tmp_path / "room.toml"), "--out", str(tmp_path / "out"), "--people", "1"]
+    assert main(command) == 2
+    (settings,) = asked
+    assert (settings.people.people, settings.people.gestures) == (1, 3)
+    assert (settings.viewpoints.size, settings.viewpoints.cameras) == ((64, 36), 6)
+
+
+def test_half_an_image_size_is_refused_in_plain_words(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["simulate", "--size", "640", "--out", "session"])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert "'--size'. Expected 2 values." in said
+    assert "[" not in said
 
 
 def test_the_command_writes_once_and_replaces_only_by_force(tmp_path, capsys, monkeypatch, session):

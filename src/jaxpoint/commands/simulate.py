@@ -6,14 +6,14 @@ import shlex
 import sys
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.options import Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
-from jaxpoint.config.simulation import AtLeastOne, SimulationSettings
+from jaxpoint.config.simulation import AtLeastOne, ImageSide, SimulationSettings
 
 if TYPE_CHECKING:
     from jaxpoint.simulate.session import SimulatedSession
@@ -28,14 +28,14 @@ class Simulate(SeededOptions):
     Further settings stand in [simulate] of the file of --config.
     """
 
-    gestures: Count | None = None
-    """How often somebody points (default 8)."""
-    people: Count | None = None
-    """How many people there are (default 2)."""
-    cameras: AtLeastOne | None = None
-    """How many cameras hang in the room (default 6)."""
-    size: Annotated[tuple[AtLeastOne, AtLeastOne] | None, tyro.conf.arg(metavar="WIDTH HEIGHT")] = None
-    """Of the images, px (default 1280 720)."""
+    gestures: Count
+    """How often somebody points."""
+    people: Count
+    """How many people there are."""
+    cameras: AtLeastOne
+    """How many cameras hang in the room."""
+    size: Annotated[tuple[ImageSide, ImageSide], tyro.conf.arg(metavar="WIDTH HEIGHT")]
+    """Of the images, px; both even."""
     wave: bool = False
     """Wave a light through the dark room first, for `detect led` and `calibrate`."""
     masks: bool = False
@@ -45,7 +45,15 @@ class Simulate(SeededOptions):
     @staticmethod
     def with_defaults(room: RoomConfig) -> Simulate:
         """The command's defaults under a configuration file."""
-        return Simulate(settings=room.simulate, runtime=room.runtime)
+        people, views = room.simulate.people, room.simulate.viewpoints
+        return Simulate(
+            gestures=people.gestures,
+            people=people.people,
+            cameras=views.cameras,
+            size=views.size,
+            settings=room.simulate,
+            runtime=room.runtime,
+        )
 
     def run(self, console: Console) -> Outcome:
         """Write the session's folder, whole or not at all."""
@@ -65,17 +73,11 @@ class Simulate(SeededOptions):
 
     def _resolved(self) -> SimulationSettings:
         """The settings with what flags say."""
-        people = {"gestures": self.gestures, "people": self.people}
-        views = {"cameras": self.cameras, "size": self.size}
         return replace(
             self.settings,
-            people=replace(self.settings.people, **_given(people)),
-            viewpoints=replace(self.settings.viewpoints, **_given(views)),
+            people=replace(self.settings.people, gestures=self.gestures, people=self.people),
+            viewpoints=replace(self.settings.viewpoints, cameras=self.cameras, size=self.size),
         )
-
-
-def _given(flags: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in flags.items() if value is not None}
 
 
 def _outcome(out: Path, session: SimulatedSession, wave: bool) -> Outcome:

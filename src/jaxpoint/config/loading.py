@@ -66,7 +66,8 @@ def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
     except msgspec.ValidationError as error:
         reason, _, place = str(error).partition(" - at `$.")
         keys = place.rstrip("`").split(".")
-        given = reduce(lambda table, key: table.get(key) if isinstance(table, dict) else None, keys, raw)
+        names = (key.partition("[")[0] for key in keys)  # of an item of a list the whole list is shown
+        given = reduce(lambda table, name: table.get(name) if isinstance(table, dict) else None, names, raw)
         raise UsageError(
             f"The setting '{'.'.join(keys).removeprefix('settings.')}' cannot be used: {reason}"
             f"{'' if given is None or isinstance(given, dict) else f' (given: {given!r})'}."

@@ -20,6 +20,9 @@ class Uniform:
     low: float
     high: float
 
+    def __post_init__(self) -> None:
+        _check_range(self.low, self.high)
+
 
 @dataclass(frozen=True)
 class Normal:
@@ -29,6 +32,14 @@ class Normal:
     sd: NotNegative
     low: float
     high: float
+
+    def __post_init__(self) -> None:
+        _check_range(self.low, self.high)
+
+
+def _check_range(low: float, high: float) -> None:
+    if not low <= high:
+        raise ValueError(f"low = {low:g} and high = {high:g} are no range; low must be at most high")
 
 
 @dataclass(frozen=True)
@@ -41,6 +52,10 @@ class SleeveShares:
     rolled: Fraction = 0.15
     """Rolled up to the middle of the forearm."""
     long: Fraction = 0.2
+
+    def __post_init__(self) -> None:
+        if not any(vars(self).values()):
+            raise ValueError("all shares are 0; give at least one kind of sleeve more")
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,10 @@ from jaxpoint.config.people import PeopleSettings, Uniform
 from jaxpoint.config.types import Count, Fraction, Positive
 
 AtLeastOne = Annotated[int, Meta(ge=1)]
+ImageSide = Annotated[int, Meta(ge=32, multiple_of=2)]
+"""Of an image, px: the colours of a video are stored for two pixels at once."""
+FrameRate = Annotated[float, Meta(ge=0.01, le=1000)]
+"""Frames a second that an mp4 file can have."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +39,7 @@ class ViewpointSettings:
     """Where the cameras hang and what lenses they have."""
 
     cameras: AtLeastOne = 6
-    size: tuple[AtLeastOne, AtLeastOne] = (1280, 720)
+    size: tuple[ImageSide, ImageSide] = (1280, 720)
     """Width and height of the images, px."""
     field_of_view_deg: Uniform = Uniform(55.0, 85.0)
     """Across the width of the image."""
@@ -107,8 +111,8 @@ class FaultSettings:
 class WaveSettings:
     """A light waved through the dark room."""
 
-    frames: Count = 300
-    frames_per_second: Positive = 25.0
+    frames: Annotated[int, Meta(ge=2)] = 300
+    frames_per_second: FrameRate = 25.0
     darkness: Uniform = Uniform(0.001, 0.004)
     """Light left in the room, over the light of the session."""
     led_radius_m: Uniform = Uniform(0.007, 0.010)
@@ -123,7 +127,7 @@ class WaveSettings:
 class SimulationSettings:
     """A whole simulated session, one table a field."""
 
-    frames_per_second: Positive = 12.5
+    frames_per_second: FrameRate = 12.5
     empty_frames: Count = 60
     """Frames of the empty room, recorded before anyone enters."""
     scene: SceneSettings = field(default_factory=SceneSettings)

@@ -229,7 +229,8 @@ def _cast_shadows(image: np.ndarray, room: RoomView, people: LitPeople) -> None:
     top, bottom, left, right = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
     part = lost[top:bottom, left:right]
     large = cv2.resize(part, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_LINEAR)
-    image[COARSE * top : COARSE * bottom, COARSE * left : COARSE * right] *= 1 - large[..., None]
+    shaded = image[COARSE * top : COARSE * bottom, COARSE * left : COARSE * right]
+    shaded *= 1 - large[: shaded.shape[0], : shaded.shape[1], None]  # the last places may reach beyond the image
 
 
 def _nearest_around(seen: np.ndarray) -> np.ndarray:
@@ -293,7 +294,8 @@ def _lamps_at(scene: Scene, light: RoomLight, raster: Raster, corners, depths) -
     """For every COARSE-th pixel: its place on each lamp's map, its distance, and the lamp's share of its light."""
     step, half = SAMPLES * COARSE, SAMPLES * COARSE // 2 - 1
     height, width = raster.triangle.shape
-    row, column = np.meshgrid(np.arange(half, height, step), np.arange(half, width, step), indexing="ij")
+    rows, columns = (np.minimum(np.arange(half, size + half, step), size - 1) for size in (height, width))
+    row, column = np.meshgrid(rows, columns, indexing="ij")
     places = (row * width + column).ravel()
     seen = raster.triangle.ravel()[places] != NOTHING
     triangle, weights = _on_triangles(raster, corners, depths, np.where(seen, places, 0))

@@ -15,6 +15,7 @@ from jaxtyping import Float, UInt8
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.clocks import Clocks, make_clocks
 from jaxpoint.simulate.furniture import NamedObject
 from jaxpoint.simulate.lighting import RoomLight, light_room
@@ -193,6 +194,7 @@ def simulate_session(
         progress: called after every camera.
 
     Raises:
+        UsageError: the settings ask for a play that cannot be, or for one shorter than a frame.
         ValueError: the room leaves people no place, or there are more of them than labels.
     """
     settings = settings or SimulationSettings()
@@ -200,6 +202,13 @@ def simulate_session(
     scene = make_scene(rngs[0], settings.scene)
     light = light_room(scene)
     viewpoints = random_viewpoints(rngs[1], settings.viewpoints, scene)
+    play = make_play(rngs[3], settings.people, cast(Any, scene.objects), floor_of(scene, viewpoints))
+    highest = max((actor.person.number for actor in play.actors), default=0)
+    if highest >= 256 // PARTS_A_PERSON:
+        raise ValueError(
+            f"The play has a person number {highest}, and labels know {256 // PARTS_A_PERSON} people; ask for fewer."
+        )
+    clocks = make_clocks(rngs[4], settings, _moments(play, settings))
     rooms = []
     for view in viewpoints:
         rooms.append(render_room(view, scene, light))
@@ -208,20 +217,23 @@ def simulate_session(
     sensors = tuple(
         _faulty(random_sensor(rngs[2], settings.sensor, room.image), i, settings.faults) for i, room in enumerate(rooms)
     )
-    play = make_play(rngs[3], settings.people, cast(Any, scene.objects), floor_of(scene, viewpoints))
-    highest = max((actor.person.number for actor in play.actors), default=0)
-    if highest >= 256 // PARTS_A_PERSON:
-        raise ValueError(
-            f"The play has a person number {highest}, and labels know {256 // PARTS_A_PERSON} people; ask for fewer."
-        )
-    moments = round(play.duration_s * settings.frames_per_second)
-    clocks = make_clocks(rngs[4], settings, moments)
     bounds = settings.sensor.shutter_s
     shutter = float(rngs[5].uniform(bounds.low, bounds.high))
     noise = NoiseField(rngs[5], settings.viewpoints.size)
     return SimulatedSession(
         settings, seed, scene, light, tuple(viewpoints), sensors, tuple(rooms), play, clocks, shutter, noise
     )
+
+
+def _moments(play: Play, settings: SimulationSettings) -> int:
+    """How many common moments the cameras have of a play."""
+    moments = round(play.duration_s * settings.frames_per_second)
+    if not moments:
+        raise UsageError(
+            f"The play lasts {play.duration_s:.1f} s, too short for a frame at {settings.frames_per_second:g} frames a "
+            f"second; set [simulate] frames_per_second to {1 / play.duration_s:.2g} or more."
+        )
+    return moments
 
 
 def _faulty(sensor: Sensor, camera: int, faults: FaultSettings) -> Sensor:

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.config.people import PeopleSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.crossing import crossing
 from jaxpoint.simulate.people.floor import Floor
@@ -41,8 +42,10 @@ def make_play(
     """The play of a seed: the same seed, settings, objects and room give the same play.
 
     Raises:
+        UsageError: as many people as are asked for cannot do what is asked for.
         ValueError: the room has too little free floor, or nobody can point at anything in it.
     """
+    _check_cast(settings)
     rng = np.random.default_rng(seed)
     if settings.play == "empty" or settings.people == 0:
         return Play((), (), settings.empty_s)
@@ -53,6 +56,18 @@ def make_play(
     else:
         actors, duration = session(rng, settings, objects, room)
     return _numbered(actors, duration)
+
+
+def _check_cast(settings: PeopleSettings) -> None:
+    people, gestures = settings.people, settings.gestures
+    if settings.play == "crossing" and people != 2:
+        raise UsageError(
+            f"In the play 'crossing' 2 people pass each other, not {people}; set people to 2, or choose another play."
+        )
+    if settings.play in ("session", "gestures") and people == 0 < gestures:
+        raise UsageError(
+            f"Without people nobody makes the {gestures} gestures asked for; set people to 1 or more, or gestures to 0."
+        )
 
 
 def _numbered(actors: Sequence[Actor], duration: float) -> Play:
