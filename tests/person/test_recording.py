@@ -16,7 +16,7 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.session import open_session
 from jaxpoint.person import recording
-from jaxpoint.person.recording import watch_session
+from jaxpoint.person.recording import watch_camera, watch_session
 
 SIZE = (640, 480)
 COLOURS = {1: (120, 60, 40), 2: (128, 158, 205)}  # blue, green, red: shirt and skin
@@ -189,3 +189,18 @@ def test_names_of_cameras_are_one_to_one(session, tmp_path):
     (twice / "videos" / "cam_1.mp4").write_bytes(b"")
     with pytest.raises(FileFormatError, match="both of camera 'cam_1'; keep one"):
         open_session(twice)
+
+
+def test_interruption_says_where_finished_cameras_are_kept(session, tmp_path, monkeypatch, capsys):
+    looked_at = []
+
+    def work(job, advance):
+        looked_at.append(job.name)
+        if len(looked_at) == 2:
+            raise KeyboardInterrupt
+        return watch_camera(job, advance)
+
+    monkeypatch.setattr(recording, "watch_camera", work)
+    assert run(session, tmp_path / "run", tmp_path / "kept") == 130
+    assert f"interrupted; 1 of 3 cameras were done and are kept in {tmp_path / 'kept'}" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()

@@ -14,13 +14,13 @@ from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.detect.colour import Image, is_grey
 from jaxpoint.detect.marker import MarkerModel, MarkerReason, find_markers, marker_ends, train_marker
 from jaxpoint.detect.person import FrameReason, Look, PersonWatch
-from jaxpoint.detect.workers import Advance, run_cameras
+from jaxpoint.detect.workers import Advance
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.files import replacing
 from jaxpoint.io.marker_samples import MarkerSample
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import open_frames
-from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room
+from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room, side_by_side
 
 FORMAT = 1  # of the kept files; higher whenever the marker is found otherwise
 
@@ -118,14 +118,7 @@ def watch_markers(
     for job in jobs:
         if anew and job.camera.kept is not None:
             job.camera.kept.unlink(missing_ok=True)
-    finished: dict[int, CameraMarkers] = {}
-
-    def report(camera: int, done: int, total: int) -> None:
-        if progress:
-            progress(session.names[camera], done, total)
-
-    run_cameras(watch_camera, jobs, workers, finished, report)
-    return tuple(finished[camera] for camera in range(len(jobs)))
+    return side_by_side(watch_camera, jobs, session.names, cache, workers, progress)
 
 
 def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Int
@@ -27,6 +28,8 @@ NEVER_CLEARS = 0.1  # of the outline of what differs: beyond it the median holds
 FOCAL_OF_WIDTH = 0.9  # focal length over image width where there is no calibration
 QUIET = 0.5  # part of a recording's pairs that is taken for the empty room where there is no other
 
+Job = TypeVar("Job")
+Found = TypeVar("Found")
 Progress = Callable[[str, int, int], None]
 """Called with a camera's name, frames done, frames to do."""
 
@@ -73,13 +76,36 @@ def watch_session(
     for job in jobs:
         if anew and job.kept is not None:
             job.kept.unlink(missing_ok=True)
-    finished: dict[int, CameraViews] = {}
+    return side_by_side(watch_camera, jobs, session.names, cache, workers, progress)
+
+
+def side_by_side(
+    work: Callable[[Job, Advance], Found],
+    jobs: Sequence[Job],
+    names: Sequence[str],
+    cache: Path | None,
+    workers: int,
+    progress: Progress | None,
+) -> tuple[Found, ...]:
+    """What `work` finds in every camera, each in a process.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C; it says where those that were done are kept.
+    """
+    finished: dict[int, Found] = {}
 
     def report(camera: int, done: int, total: int) -> None:
         if progress:
-            progress(session.names[camera], done, total)
+            progress(names[camera], done, total)
 
-    run_cameras(watch_camera, jobs, workers, finished, report)
+    try:
+        run_cameras(work, jobs, workers, finished, report)
+    except KeyboardInterrupt:
+        if not finished or cache is None:
+            raise
+        raise KeyboardInterrupt(
+            f"{len(finished)} of {len(jobs)} cameras were done and are kept in {cache}; the same command goes on there."
+        ) from None
     return tuple(finished[camera] for camera in range(len(jobs)))
 
 
