@@ -1,6 +1,6 @@
 """Head tracks in files: `heads.csv`, one line for each person in each frame.
 
-Columns `frame,time,person,x_m,y_m,z_m,sigma_m,views,status`: `sigma_m` is the standard deviation in the worst
+Columns `frame,time_s,person,x_m,y_m,z_m,sigma_m,views,status`: `sigma_m` is the standard deviation in the worst
 direction, `views` the names of the cameras that measured the head, joined by `|`, `status` in words (`REASONS`). Where
 a person is not in the room there is no line; frames with nobody have none at all.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from jaxpoint.io.files import StrPath, natural_key, read_table, read_text, replacing
 from jaxpoint.tracking.result import REASONS, HeadTracks, Status
 
-HEAD_COLUMNS = ("frame", "time", "person", "x_m", "y_m", "z_m", "sigma_m", "views", "status")
+HEAD_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m", "sigma_m", "views", "status")
 _DIGITS = 5  # of a metre: a hundredth of a millimetre
 
 
@@ -37,7 +37,7 @@ def save_heads(path: StrPath, heads: HeadTracks) -> None:
         writer.writerow(
             [
                 heads.frame_ids[frame],
-                repr(float(heads.times[frame])),
+                f"{heads.times[frame]:.6f}".rstrip("0").rstrip("."),
                 heads.people[person],
                 *(f"{number:.{_DIGITS}f}" for number in numbers),
                 views,
@@ -86,7 +86,7 @@ def read_heads(path: StrPath, cameras: tuple[str, ...] = ()) -> HeadTracks:
         unknown = [name for name in row.values["views"].split("|") if name and name not in names]
         if unknown:
             raise row.error(f"the camera '{unknown[0]}' is none of {', '.join(names)}.")
-        heads.times[frame] = row.number("time")
+        heads.times[frame] = row.number("time_s")
         heads.positions[place] = [row.number(column) for column in ("x_m", "y_m", "z_m")]
         heads.sigma[place] = row.number("sigma_m")
         heads.used[place] = [name in row.values["views"].split("|") for name in names]
