@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, check_not_above
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,9 @@ class MotionSettings:
     """It is one if this part of them changes in the same direction."""
     switch_levels: Positive = 15.0
     """Grey levels by which a pixel must change to count for it."""
+
+    def __post_init__(self) -> None:
+        check_not_above("motion.canny_low", self.canny_low, "motion.canny_high", self.canny_high)
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,9 @@ class HeadSettings:
     """Least correlation of a head; the thesis's is 0.6."""
     upper_part: Fraction = 0.5
     """Part of the silhouette, from its top, that is searched."""
+
+    def __post_init__(self) -> None:
+        check_not_above("head.nearest_m", self.nearest_m, "head.farthest_m", self.farthest_m)
 
 
 @dataclass(frozen=True)
