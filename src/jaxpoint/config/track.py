@@ -37,7 +37,7 @@ class TrackSettings:
         low, high = self.height_m
         if low >= high:
             raise UsageError(
-                f"The setting 'track.height_m' cannot be used: its lowest, {low:g}, is not below its highest, {high:g}; "
-                "give the lower height first."
+                f"The setting 'track.height_m' cannot be used: its lowest, {low:g}, is not below its highest, {high:g};"
+                " give the lower height first."
             )
         check_not_above("track.confirm[0]", self.confirm[0], "track.confirm[1]", self.confirm[1])

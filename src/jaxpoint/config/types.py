@@ -20,6 +20,6 @@ def check_not_above(low_key: str, low: float, high_key: str, high: float) -> Non
     """
     if low > high:
         raise UsageError(
-            f"The setting '{low_key}' cannot be used: it is {low:g}, above {high_key}, which is {high:g}; lower the one "
-            "or raise the other."
+            f"The setting '{low_key}' cannot be used: it is {low:g}, above {high_key}, which is {high:g}; lower the "
+            "one or raise the other."
         )
