@@ -15,7 +15,7 @@ from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
-from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
@@ -52,12 +52,17 @@ class DetectMarker(SeededOptions):
     workers: Count = 0
     """Processes used, one camera each; 0 takes one per core."""
     settings: Annotated[PersonSettings, Inline] = field(default_factory=PersonSettings)
+    marker: MarkerSettings = field(default_factory=MarkerSettings)
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> DetectMarker:
         """The command's defaults under a configuration file."""
         return DetectMarker(
-            session=tyro.MISSING, samples=tyro.MISSING, settings=room.detect.person, runtime=room.runtime
+            session=tyro.MISSING,
+            samples=tyro.MISSING,
+            settings=room.detect.person,
+            marker=room.detect.marker,
+            runtime=room.runtime,
         )
 
     def run(self, console: Console) -> Outcome:
@@ -75,16 +80,23 @@ class DetectMarker(SeededOptions):
         check_out(out, self.force)
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
-        samples = read_marker_samples(self.samples, session, self.settings.marker.sample_radius_px)
-        model = learn_marker(session, samples, self.settings.marker)
+        samples = read_marker_samples(self.samples, session, self.marker.sample_radius_px)
+        model = learn_marker(session, samples, self.marker)
         kept = self.cache or default_cache()
         with console.progress() as progress:
             markers = watch_markers(
-                session, model, self.settings, cache=kept, anew=self.anew, workers=self.workers, progress=progress
+                session,
+                model,
+                self.settings,
+                self.marker,
+                cache=kept,
+                anew=self.anew,
+                workers=self.workers,
+                progress=progress,
             )
         tips = None
         if session.rig is not None and len(session.names) > 1:
-            tips = marker_tips(session.rig, markers, self.settings.marker)
+            tips = marker_tips(session.rig, markers, self.marker)
         figures = _write(self, out, session, model, markers, tips)
         return Outcome(figures, _lines(figures, out), _failure(figures))
 
@@ -111,7 +123,7 @@ def _write(
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings)))
+        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings, marker=command.marker)))
         (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
         if tips is not None:

@@ -201,17 +201,17 @@ class PersonSettings:
     silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     head: HeadSettings = field(default_factory=HeadSettings)
     skin: SkinSettings = field(default_factory=SkinSettings)
-    marker: MarkerSettings = field(default_factory=MarkerSettings)
-    thesis: ThesisSettings = field(default_factory=ThesisSettings)
 
 
 def thesis_person() -> PersonSettings:
-    """The thesis's own methods and defaults at every stage: the baseline."""
+    """The thesis's own methods and defaults at every stage: the baseline.
+
+    Its regions of pointing have settings of their own, `ThesisSettings`; its marker is found with `gates="fixed"`.
+    """
     return PersonSettings(
         motion=MotionSettings(width_px=0, floor_px=50),
         background=BackgroundSettings(width_px=0, reach_px=0, follow_light=False, shadows=False),
         silhouette=SilhouetteSettings(width_px=0, thicken=1, close_px=7, people=1),
         head=HeadSettings(method="thesis", template_px=24, min_score=0.6),
         skin=SkinSettings(model="thesis"),
-        marker=MarkerSettings(gates="fixed"),
     )

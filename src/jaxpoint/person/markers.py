@@ -51,6 +51,7 @@ class MarkerJob:
 
     camera: CameraJob
     model: MarkerModel
+    settings: MarkerSettings
 
 
 def picked_pixels(session: Session, samples: Sequence[MarkerSample]) -> UInt8[np.ndarray, "N 3"]:
@@ -91,6 +92,7 @@ def watch_markers(
     session: Session,
     model: MarkerModel,
     settings: PersonSettings,
+    marker: MarkerSettings,
     *,
     cache: Path | None = None,
     anew: bool = False,
@@ -104,7 +106,8 @@ def watch_markers(
     Args:
         session: the videos.
         model: of the marker.
-        settings: of all detectors.
+        settings: of the detectors of people.
+        marker: of the marker's.
         cache: folder of what earlier calls found; None keeps nothing.
         anew: look again where something was kept.
         workers: processes at most; 0 for one a core.
@@ -114,7 +117,7 @@ def watch_markers(
         FileFormatError: a video that cannot be decoded at all.
         InsufficientDataError: too few frames to learn a background from.
     """
-    jobs = [_job(session, camera, model, settings, cache) for camera in range(len(session.names))]
+    jobs = [_job(session, camera, model, settings, marker, cache) for camera in range(len(session.names))]
     for job in jobs:
         if anew and job.camera.kept is not None:
             job.camera.kept.unlink(missing_ok=True)
@@ -148,7 +151,7 @@ def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
     background, threshold, notes = learn_room(own, source)
     watcher = PersonWatch(background, threshold, own.focal_px, own.settings)
     frames = Frames(own, source)
-    markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, own.settings.marker, advance)
+    markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, job.settings, advance)
     markers = replace(markers, notes=(*notes, *frames.notes))
     if own.kept is not None:
         own.kept.parent.mkdir(parents=True, exist_ok=True)
@@ -214,11 +217,18 @@ def disc(image: Image, x: float, y: float, radius_px: float) -> UInt8[np.ndarray
     return image[rows[inside], columns[inside]]
 
 
-def _job(session: Session, camera: int, model: MarkerModel, settings: PersonSettings, cache: Path | None) -> MarkerJob:
+def _job(
+    session: Session,
+    camera: int,
+    model: MarkerModel,
+    settings: PersonSettings,
+    marker: MarkerSettings,
+    cache: Path | None,
+) -> MarkerJob:
     own = camera_job(session, camera, settings, None)
     if cache is not None:
-        own = replace(own, kept=cache / f"marker-{content_key(own, f'{FORMAT} {model!r}')}.npz")
-    return MarkerJob(own, model)
+        own = replace(own, kept=cache / f"marker-{content_key(own, f'{FORMAT} {model!r} {marker!r}')}.npz")
+    return MarkerJob(own, model, marker)
 
 
 _ARRAYS = ("reasons", "markers", "moment", "area", "centroid", "tip", "base", "person")
