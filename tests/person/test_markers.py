@@ -167,6 +167,7 @@ def test_without_a_calibration_each_view_is_looked_at_alone(session, samples, tm
         ("cam_0,3,50,50,2", 7, "camera 'cam_0' has no image of frame 3; the session's frames go from 10 to 14"),
         ("cam_9,10,50,50,2", 7, "there is no camera 'cam_9'"),
         ("cam_0,10,50,50,-1", 7, "'radius_px' is -1"),
+        ("cam_0,10,50,50,1e9", 7, "a disc of 1e\\+09 px radius is larger than the image of camera 'cam_0'"),
         ("cam_0,10,50,50,1", 4, "at least 20 pixels, and 5 were picked"),
         ("cam_0,10,20,20,5", 4, "median saturation of"),
     ],
