@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 
 import capsules
@@ -12,6 +13,7 @@ import pytest
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import main
 from jaxpoint.config.person import PersonSettings, SilhouetteSettings
+from jaxpoint.detect.person import FrameReason
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.session import open_session
 from jaxpoint.person import recording
@@ -150,6 +152,45 @@ def test_nobody_is_an_error_and_the_table_says_why(session, cache, tmp_path, cap
     assert run(bare, tmp_path / "run", cache) == 4
     assert "Nobody was found" in capsys.readouterr().err
     assert {row["reason"] for row in rows(tmp_path / "run" / "detections.csv")} <= {"nobody", "idle"}
+
+
+def images_of(folder):
+    return sorted(folder.glob("*.png"))
+
+
+def test_grey_videos_are_told_and_left_out_beside_an_empty_room_in_colour(session, tmp_path):
+    folder = tmp_path / "grey"
+    for part, count in (("videos", 2), ("empty", 12)):
+        (folder / part / "cam_0").mkdir(parents=True)
+        for path in images_of(session / part / "cam_0")[:count]:
+            shutil.copy(path, folder / part / "cam_0")
+    for path in images_of(folder / "videos/cam_0"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    (views,) = watch_session(open_session(folder), PersonSettings(), workers=1)
+    assert set(views.reasons) == {FrameReason.WITHOUT_COLOUR}
+    assert "'cam_0': 2 of 2 images have no colour and the empty room has" in views.notes[-1]
+    for path in images_of(folder / "empty/cam_0"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    (views,) = watch_session(open_session(folder), PersonSettings(), workers=1)
+    assert set(views.reasons) == {FrameReason.PERSON}
+    assert "'cam_0': 2 of 2 images have no colour, so that skin cannot be told" in views.notes[-1]
+
+
+def test_an_empty_room_that_does_not_fit_names_its_camera(session, tmp_path, capsys):
+    folder = tmp_path / "short"
+    for part in ("videos", "empty"):
+        shutil.copytree(session / part / "cam_1", folder / part / "cam_1")
+    for path in images_of(folder / "empty/cam_1"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240)))
+    assert run(folder, tmp_path / "run", tmp_path / "cache") == 7
+    assert re.search("camera 'cam_1' .* with 320 x 240 px and its video with 640 x 480;", capsys.readouterr().err)
+    for path in images_of(folder / "empty/cam_1")[3:]:
+        path.unlink()
+    for path in images_of(folder / "empty/cam_1"):
+        shutil.copy(images_of(session / "empty/cam_1")[0], path)
+    assert run(folder, tmp_path / "run", tmp_path / "cache") == 4
+    assert "Camera 'cam_1': A background is learnt from at least 10 images" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_wrong_input_is_told_in_a_sentence_and_leaves_nothing(session, cache, tmp_path, capsys):

@@ -20,9 +20,9 @@ from jaxpoint.io.files import replacing
 from jaxpoint.io.marker_samples import MarkerSample
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import open_frames
-from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room
+from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room, left_out_notes
 
-FORMAT = 1  # of the kept files; higher whenever the marker is found otherwise
+FORMAT = 2  # of the kept files; higher whenever the marker is found otherwise
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
     """Learn one camera's room, then look through its frames.
 
     Raises:
-        FileFormatError: no frame of the video can be decoded.
+        FileFormatError: no frame of the video can be decoded, or the empty room has images of another size.
         InsufficientDataError: too few frames to learn a background from.
     """
     own = job.camera
@@ -152,7 +152,7 @@ def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
     watcher = PersonWatch(background, threshold, own.focal_px, own.settings)
     frames = Frames(own, source)
     markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, job.settings, advance)
-    markers = replace(markers, notes=(*notes, *frames.notes))
+    markers = replace(markers, notes=(*notes, *frames.notes, *left_out_notes(own.name, markers.reasons)))
     if own.kept is not None:
         own.kept.parent.mkdir(parents=True, exist_ok=True)
         save_markers(own.kept, markers)
