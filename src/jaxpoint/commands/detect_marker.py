@@ -13,6 +13,7 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
+from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
 from jaxpoint.config.person import MarkerSettings, PersonSettings
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from jaxpoint.io.session import Session
     from jaxpoint.person.marker_tips import MarkerTip
     from jaxpoint.person.markers import CameraMarkers
+
+_FAINT = "Pick more of the marker, in other light too, or widen --marker.deviations."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +121,7 @@ def _write(
     from jaxpoint.report.marker import write_marker_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
-    figures = {"run": str(out), **_figures(session, model, markers, tips)}
+    figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [command.session, command.samples], command.seed)
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
@@ -141,20 +144,32 @@ def _write(
 
 
 def _figures(
-    session: Session, model: MarkerModel, markers: tuple[CameraMarkers, ...], tips: list[MarkerTip] | None
+    command: DetectMarker,
+    session: Session,
+    model: MarkerModel,
+    markers: tuple[CameraMarkers, ...],
+    tips: list[MarkerTip] | None,
 ) -> dict[str, Any]:
+    from jaxpoint.detect.marker import is_mixture
     from jaxpoint.person.marker_tables import why
 
     cameras = []
     for name, own in zip(session.names, markers):
         reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
         cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
+    notes = [*session.notes, *(note for own in markers for note in own.notes)]
+    if is_mixture(model, command.marker):
+        notes.append(
+            "The samples seem to hold several colours: the gates of hue, saturation and value "
+            f"({model.hue_gate:g}, {model.saturation_gate:g}, {model.value_gate:g}) are as wide as they go. Pick the "
+            "marker's middle, with a smaller radius_px."
+        )
     figures: dict[str, Any] = {
         "moments": len(session.moments),
         "model": asdict(model),
         "cameras": cameras,
         "in_room": None,
-        "notes": [*session.notes, *(note for own in markers for note in own.notes)],
+        "notes": notes,
     }
     if tips is not None:
         reasons = Counter(tip.reason.name.lower() for tip in tips if not tip.found)
@@ -182,9 +197,16 @@ def _counts(reasons: dict[str, int]) -> str:
 
 
 def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
-    if any(camera["found"] for camera in figures["cameras"]):
+    cameras, room = figures["cameras"], figures["in_room"]
+    found = [camera["found"] for camera in cameras if camera["found"]]
+    if not found:
+        return InsufficientDataError(
+            f"The marker was found in none of {figures['moments']} moments of {len(cameras)} cameras; the table says "
+            f"what each frame held, {commonest(cameras, _FAINT)}"
+        )
+    if room is None or room["tips"]:
         return None
     return InsufficientDataError(
-        f"The marker was found in none of {figures['moments']} moments of {len(figures['cameras'])} cameras; the table "
-        "says what each frame held. Pick more of the marker, in other light too, or widen --marker.deviations."
+        f"The marker has no tip in the room in any of {figures['moments']} moments ({_counts(room['reasons'])}), though"
+        f" {len(found)} of {len(cameras)} cameras show it in {sum(found)} images. {OF_THIS_ROOM} {_FAINT}"
     )

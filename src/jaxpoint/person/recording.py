@@ -128,8 +128,8 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
     if empty.size != source.size:
         (width, height), (own_width, own_height) = empty.size, source.size
         raise FileFormatError(
-            f"The empty room of camera '{job.name}' ('{job.empty}') was recorded with {width} x {height} px and its video "
-            f"with {own_width} x {own_height}; record both alike."
+            f"The empty room of camera '{job.name}' ('{job.empty}') was recorded with {width} x {height} px and its "
+            f"video with {own_width} x {own_height}; record both alike."
         )
     adaptive = settings.background.method != "static"
     images = _spread(empty, settings.background.max_frames)
