@@ -23,7 +23,7 @@ import tyro
 from rich.progress import track
 
 from jaxpoint.config.people import LooksSettings, PeopleSettings
-from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.detect.marker import MarkerModel, train_marker
 from jaxpoint.detect.person import PersonWatch
@@ -35,6 +35,7 @@ from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
 
+MARKER = MarkerSettings()
 FINGER = {"left": Part.LEFT_FINGER, "right": Part.RIGHT_FINGER}
 EMPTY_FRAMES = 20
 CLICKED_VIEWS = 3
@@ -88,13 +89,13 @@ def rows_of(seed: int, options: MarkerTipError, person: PersonSettings) -> list[
         moment = session.frame_at((gesture.hold_first_s + gesture.hold_last_s) / 2)
         frames = [session.frame(moment, camera) for camera in range(len(session.rig))]
         if gesture.person not in models:
-            models[gesture.person] = taught(frames, gesture, person)
+            models[gesture.person] = taught(frames, gesture, MARKER)
             continue
         rows.append(judged(session, gesture, frames, rooms, models[gesture.person], person))
     return rows
 
 
-def taught(frames: Sequence[SimulatedFrame], gesture: Gesture, person: PersonSettings) -> MarkerModel | None:
+def taught(frames: Sequence[SimulatedFrame], gesture: Gesture, settings: MarkerSettings) -> MarkerModel | None:
     """The colour, from two clicks into the finger's outer half where it shows best; None where these are too few."""
     shown = [np.argwhere(frame.labels == FINGER[gesture.hand] + PARTS_A_PERSON * gesture.person) for frame in frames]
     largest = sorted(range(len(frames)), key=lambda camera: -len(shown[camera]))[:CLICKED_VIEWS]
@@ -105,9 +106,9 @@ def taught(frames: Sequence[SimulatedFrame], gesture: Gesture, person: PersonSet
         distance = np.hypot(*(pixels - truth.tip).T)
         for part in (0.2, 0.4) if len(pixels) >= SHOWN_PX else ():
             x, y = np.round(pixels[distance <= np.quantile(distance, part)].mean(axis=0))
-            picked.append(disc(frames[camera].image, float(x), float(y), person.marker.sample_radius_px))
+            picked.append(disc(frames[camera].image, float(x), float(y), settings.sample_radius_px))
     try:
-        return train_marker(np.concatenate(picked), person.marker)
+        return train_marker(np.concatenate(picked), settings)
     except InsufficientDataError:
         return None
 
@@ -130,8 +131,8 @@ def judged(
     markers: list[CameraMarkers] = []
     for camera, frame in enumerate(frames):
         watcher = PersonWatch(rooms[camera], MOTION_PX, float(focal[camera]), person)
-        markers.append(look_for_marker([(0, frame.image)], 1, watcher, model, person.marker))
-    tip = marker_tips(session.rig, markers, person.marker)[0]
+        markers.append(look_for_marker([(0, frame.image)], 1, watcher, model, MARKER))
+    tip = marker_tips(session.rig, markers, MARKER)[0]
     distance = float(np.median(distances[list(tip.members)] if tip.members else distances))
     if not tip.found:
         return Row(tip.reason.name.lower(), 0, distance, np.nan, np.nan, np.nan)

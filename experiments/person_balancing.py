@@ -13,6 +13,7 @@ from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
 from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config.person import ThesisSettings
 from jaxpoint.detect.arm import Crop
 from jaxpoint.detect.colour import Image, scaled
 from jaxpoint.detect.head import Head, find_head
@@ -187,7 +188,7 @@ def thesis_regions(
             if one is None:
                 continue
             total += 1
-            region = thesis_forearm(images[k], one[0], SETTINGS.thesis).region
+            region = thesis_forearm(images[k], one[0], ThesisSettings()).region
             held += region is not None
             right += region is not None and any(
                 is_forearm(region.centroid, region.orientation, *end[k].astype(float)) for end in ends

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import jax
 import numpy as np
 
+from jaxpoint.config.person import MarkerSettings, ThesisSettings
 from jaxpoint.detect.marker import MarkerModel
 from jaxpoint.detect.thesis import thesis_finger
 from jaxpoint.person.arms import ArmReason, PointingArm, find_arm
@@ -151,8 +152,7 @@ def _cap(pixels: GesturePixels) -> MarkerModel | None:
     if _who(pixels).cap is None:
         return None
     frames = [pixels.frames[pixels.moments[0], camera] for camera in range(len(pixels.seen))]
-    marker = replace(pixels.person.marker, gates="fixed")
-    return taught(frames, pixels.gesture, replace(pixels.person, marker=marker))
+    return taught(frames, pixels.gesture, MarkerSettings(gates="fixed"))
 
 
 def _who(pixels: GesturePixels):
@@ -172,7 +172,7 @@ def _view_score(
     forearm = None if found is None else _mask_of(found, labels.shape)
     finger = None
     if person is not None and cap is not None:
-        finger = _mask_of(thesis_finger(frame.image, person, cap, pixels.person.thesis), labels.shape)
+        finger = _mask_of(thesis_finger(frame.image, person, cap, ThesisSettings()), labels.shape)
     return ViewScore(
         pixels.session.seed, gesture.number, frame.frame, frame.camera, truth.forearm_visible, truth.forearm_angle_deg,
         truth.finger_visible, _judged(region, labels, parts), "no_arm" if own is None else own.reason.name.lower(),

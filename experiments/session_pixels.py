@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.person import PersonSettings, ThesisSettings
 from jaxpoint.detect.motion import learn_threshold, motion_between
 from jaxpoint.detect.person import PersonWatch
 from jaxpoint.detect.silhouette import RoomBackground, Silhouette, foreground, learn_background, silhouettes
@@ -99,7 +99,7 @@ def _gesture(
             image = frames[moment, camera].image
             found = silhouettes(foreground(image, room.background, person.background), person.silhouette)
             largest[moment, camera] = found[0] if found else None
-            forearms[moment, camera] = thesis_forearm(image, found[0], person.thesis) if found else None
+            forearms[moment, camera] = thesis_forearm(image, found[0], ThesisSettings()) if found else None
     return GesturePixels(
         session, gesture, person, moments, held, frames, seen, following, largest, forearms, watch_ms, arm_ms
     )

@@ -177,6 +177,8 @@ def test_a_poor_alignment_is_kept_and_marked(run_folder, known_files, solved_roo
         (["validate", "FULL"], 2, "--lengths, --tracks or --held-out"),
         (["detect", "led", "FULL", "--out", "NEW"], 2, "ends in .npz"),
         (["detect", "led", "FULL", "--out", "TRACKS"], 2, "exists; choose another"),
+        (["detect", "person", "FULL", "--out", "NEW", "--head.nearest-m", "7"], 2, "'head.nearest_m' cannot be used"),
+        (["detect", "person", "FULL", "--out", "NEW", "--background.threshold", "inf"], 2, "expected a finite number"),
     ],
 )
 def test_bad_usage_is_one_line_with_its_code_and_leaves_nothing(

@@ -41,6 +41,12 @@ def test_paths_count_from_the_file_and_are_written_absolute(tmp_path, monkeypatc
         ("[colour]\nx = 1", "unknown key 'colour'; known here: input, detect, track"),
         ("[calibrate]\nheld_out = 2.0", "'calibrate.held_out' cannot be used: Expected `float` <= 1.0"),
         ("[calibrate]\nmax_mean_px = nan", "'calibrate.max_mean_px' cannot be used"),
+        ("[detect.person.background]\nthreshold = inf", "'detect.person.background.threshold' cannot be used"),
+        ("[track]\nheight_m = [0.6, inf]", "'track.height_m[1]' cannot be used: expected a finite number (given: inf)"),
+        ("[track]\nheight_m = [2.2, 0.6]", "'track.height_m' cannot be used: its lowest, 2.2, is not below"),
+        ("[track]\nconfirm = [5, 3]", "'track.confirm[0]' cannot be used: it is 5, above track.confirm[1], which is 3"),
+        ("[detect.person.head]\nnearest_m = 7", "'head.nearest_m' cannot be used: it is 7, above head.farthest_m"),
+        ("[detect.person.motion]\ncanny_low = 101.0", "'motion.canny_low' cannot be used: it is 101, above motion"),
         ("[calibrate]\nseed = 'one'", "'calibrate.seed' cannot be used: Expected `int`, got `str`"),
         ("[calibrate.lens]\ndistortion = 'fisheye'", "'calibrate.lens.distortion' cannot be used"),
         ("[align]\nlandmarks = 3", "'align.landmarks' cannot be used: expected a path in quotes"),
@@ -90,4 +96,5 @@ def test_the_configs_show_the_defaults(name):
 def test_the_config_of_people_shows_every_setting():
     shown = tomllib.loads((CONFIGS / "people.toml").read_text(encoding="utf-8"))
     defaults = tomllib.loads(to_toml(RoomConfig()))
-    assert shown == {"detect": {"person": defaults["detect"]["person"]}, "track": defaults["track"]}
+    detect = {name: defaults["detect"][name] for name in ("person", "marker")}
+    assert shown == {"detect": detect, "track": defaults["track"]}

@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 import tyro
 
-from jaxpoint.config.person import PersonSettings, thesis_person
+from jaxpoint.config.person import PersonSettings, ThesisSettings, thesis_person
 from jaxpoint.detect.head import find_head
 from jaxpoint.detect.motion import motion_between
 from jaxpoint.detect.person import PersonWatch
@@ -131,7 +131,7 @@ def stages(view: View, background: RoomBackground, settings: PersonSettings) -> 
     run("heads", lambda: [find_head(person, view.focal_px, settings.head) for person in people])
     run("skin", lambda: [skin_mask(np.ascontiguousarray(person.crop(view.image)), model) for person in people])
     if settings == thesis_person():
-        run("filters", lambda: [thesis_forearm(view.image, person, settings.thesis) for person in people])
+        run("filters", lambda: [thesis_forearm(view.image, person, ThesisSettings()) for person in people])
         seconds["together"] = sum(seconds.values()) - seconds["skin"]  # which is in the filters
     else:
         watch = PersonWatch(background, 0.0, view.focal_px, settings, model)

@@ -3,6 +3,7 @@
 import contextlib
 
 import bad_sessions as bad
+import cv2
 import numpy as np
 import pytest
 
@@ -43,11 +44,14 @@ def good(tmp_path_factory):
     return bad.good_session(folder, {name: images(i) for i, name in enumerate(CAMERAS)})
 
 
-def looks(folder, camera: str, background: np.ndarray | None = None) -> list[Look]:
-    """What a watch of one camera says of every frame; the background is that of its empty room, if not given."""
+def looks(folder, camera: str, background: np.ndarray | None = None, noise: int = 3) -> list[Look]:
+    """What a watch of one camera says of every frame; the background is that of its empty room, if not given.
+
+    Its noise is that of each of three channels, or one for all.
+    """
     rng = np.random.default_rng(99)
     alone = (room(CAMERAS.index(camera)) if background is None else background).astype(float)
-    empty = [np.clip(alone + rng.normal(0, 2, alone.shape), 0, 255).astype(np.uint8) for _ in range(20)]
+    empty = [np.clip(alone + rng.normal(0, 2, (*alone.shape[:2], noise)), 0, 255).astype(np.uint8) for _ in range(20)]
     settings = PersonSettings()
     watch = PersonWatch(learn_background(empty, settings.background), 20.0, 150.0, settings)
     source = open_frames(folder / "videos" / f"{camera}.avi")
@@ -133,9 +137,16 @@ def test_repeated_frames_are_known(good, tmp_path):
 
 def test_grey_images_still_show_a_person(good, tmp_path):
     folder = bad.grey(good, tmp_path / "bad", "cam_1")
-    told = looks(folder, "cam_1")
+    monochrome = np.repeat(cv2.cvtColor(room(1), cv2.COLOR_BGR2GRAY)[..., None], 3, axis=2)
+    told = looks(folder, "cam_1", monochrome, noise=1)
     assert all(look.grey and look.reason == FrameReason.PERSON for look in told)
     assert open_session(folder).notes == ()
+
+
+def test_grey_images_are_left_out_where_the_empty_room_has_colour(good, tmp_path):
+    """All of them would differ from it."""
+    told = looks(bad.grey(good, tmp_path / "bad", "cam_1"), "cam_1")
+    assert all(look.reason == FrameReason.WITHOUT_COLOUR and not look.sightings for look in told)
 
 
 def test_an_empty_room_shows_nobody(good, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from jaxpoint.config.person import MarkerSettings
-from jaxpoint.detect.marker import MarkerReason, find_markers, marker_ends, marker_mask, train_marker
+from jaxpoint.detect.marker import MarkerReason, find_markers, is_mixture, marker_ends, marker_mask, train_marker
 from jaxpoint.detect.region import region_of
 from jaxpoint.detect.silhouette import Silhouette
 from jaxpoint.errors import InsufficientDataError
@@ -117,6 +117,15 @@ def test_the_gates_are_written_out():
     found = marker_mask(colours, model)
     assert np.count_nonzero(found != expected) < 0.01 * expected.size  # hues in steps of two degrees
     assert np.count_nonzero(expected) > 100
+
+
+def test_samples_of_several_colours_are_known():
+    several = np.random.default_rng(5).integers((52, 80, 50), (78, 256, 250), (1, 90, 3)).astype(np.uint8)
+    mixed = cv2.cvtColor(several, cv2.COLOR_HSV2BGR)[0]
+    assert is_mixture(train_marker(mixed, SETTINGS), SETTINGS)
+    assert not is_mixture(train_marker(picked(COLOURS["green"], np.random.default_rng(3)), SETTINGS), SETTINGS)
+    fixed = MarkerSettings(gates="fixed")
+    assert not is_mixture(train_marker(mixed, fixed), fixed)
 
 
 def test_a_marker_trained_on_nothing_or_on_grey_is_refused():

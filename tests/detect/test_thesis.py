@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxpoint.config.person import MarkerSettings, ThesisSettings, thesis_person
+from jaxpoint.config.person import MarkerSettings, ThesisSettings
 from jaxpoint.detect.marker import train_marker
 from jaxpoint.detect.region import region_of
 from jaxpoint.detect.silhouette import Silhouette
@@ -100,7 +100,7 @@ def test_grey_images_are_said(dressed):
 def test_the_finger_has_its_own_filters(dressed, length, width, degrees, reason):
     image, silhouette = dressed
     strip(image, (225, 100), length, width, degrees, MARKER)
-    model = train_marker(np.tile(np.array([MARKER], np.uint8), (30, 1)), thesis_person().marker)
+    model = train_marker(np.tile(np.array([MARKER], np.uint8), (30, 1)), MarkerSettings(gates="fixed"))
     found = thesis_finger(image, silhouette, model, SETTINGS)
     assert found.reason == reason
     if reason == ThesisReason.FOUND:

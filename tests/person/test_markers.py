@@ -13,6 +13,7 @@ import pytest
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import main
+from jaxpoint.commands.detect_marker import _failure
 from jaxpoint.config.person import MarkerSettings
 from jaxpoint.detect.marker import MarkerReason
 from jaxpoint.detect.person import FrameReason
@@ -167,6 +168,7 @@ def test_without_a_calibration_each_view_is_looked_at_alone(session, samples, tm
         ("cam_0,3,50,50,2", 7, "camera 'cam_0' has no image of frame 3; the session's frames go from 10 to 14"),
         ("cam_9,10,50,50,2", 7, "there is no camera 'cam_9'"),
         ("cam_0,10,50,50,-1", 7, "'radius_px' is -1"),
+        ("cam_0,10,50,50,1e9", 7, "a disc of 1e\\+09 px radius is larger than the image of camera 'cam_0'"),
         ("cam_0,10,50,50,1", 4, "at least 20 pixels, and 5 were picked"),
         ("cam_0,10,20,20,5", 4, "median saturation of"),
     ],
@@ -188,6 +190,17 @@ def test_grey_videos_are_refused(session, samples, tmp_path, capsys):
     assert main(command(folder, samples, tmp_path / "run")) == 4
     assert "has no colour in frame" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_marker_that_views_show_and_the_room_does_not_is_a_failure():
+    cameras = [{"found": count, "frames": 9, "reasons": {"no_colour": 9 - count}} for count in (3, 0)]
+    figures = {"moments": 9, "cameras": cameras, "in_room": {"tips": 0, "reasons": {"one_view": 3, "no_view": 6}}}
+    assert "in any of 9 moments (3 one_view, 6 no_view), though 1 of 2 cameras show it in 3 images" in str(
+        _failure(figures)
+    )
+    assert _failure({**figures, "in_room": {"tips": 1, "reasons": {}}}) is None
+    assert _failure({**figures, "in_room": None}) is None
+    assert "'no_colour' (9 of 9). Pick more" in str(_failure({**figures, "cameras": [{**cameras[1]}]}))
 
 
 def seen(rig, tip, along, length=LENGTH_M, person=(0.0, 0.0, 1.1), cameras=None, flipped=()):

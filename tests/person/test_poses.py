@@ -105,6 +105,8 @@ def test_weak_landmarks_are_left_out(tmp_path):
         ("8,cam_0,head,20,30,90,0", "'confidence' is 90"),
         ("8,cam_0,head,20,,0.9,0", "'y' is empty"),
         ("8,cam_0,tail,20,30,0.9,0", "known name, the first is 'tail'"),
+        ("8,cam_0,head,-5000,30,0.9,0", "line 2: (-5000, 30) lies far outside the image of camera 'cam_0', which has"),
+        ("8,cam_0,head,0.4,0.3,0.9,0\n8,cam_1,head,1.1,0.2,0.9,0", "between 0.2 and 1.1, as fractions of the image do"),
         ("8,cam_0,head,20,30,0.9,0\n8,cam_0,head,25,30,0.9,0", "'head' twice"),
     ],
 )

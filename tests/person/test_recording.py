@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 
 import capsules
@@ -10,8 +11,11 @@ import numpy as np
 import pytest
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.cli import main
+from jaxpoint.cli import main, parse
+from jaxpoint.commands.detect_person import _failure
+from jaxpoint.commands.nothing_found import REMEDIES, commonest
 from jaxpoint.config.person import PersonSettings, SilhouetteSettings
+from jaxpoint.detect.person import FrameReason
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.session import open_session
@@ -149,8 +153,86 @@ def test_nobody_is_an_error_and_the_table_says_why(session, cache, tmp_path, cap
     shutil.copytree(bare / "empty" / "cam_0", bare / "videos" / "cam_0")
     (bare / "timestamps.csv").unlink()
     assert run(bare, tmp_path / "run", cache) == 4
-    assert "Nobody was found" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "Nobody was found" in said
+    assert "A lower --background.threshold" in said
     assert {row["reason"] for row in rows(tmp_path / "run" / "detections.csv")} <= {"nobody", "idle"}
+
+
+@pytest.mark.parametrize(
+    ("reasons", "remedy"),
+    [
+        ({"too_dark": 5, "nobody": 2}, "'too_dark' (5 of 7). Record in more light"),
+        ({"blown_out": 7}, "less light"),
+        ({"no_image": 7}, "timestamps.csv"),
+        ({"without_colour": 4, "idle": 3}, "in one mode of the cameras"),
+    ],
+)
+def test_the_remedy_is_that_of_the_commonest_reason(reasons, remedy):
+    assert set(REMEDIES) == {reason.name.lower() for reason in FrameReason if reason != FrameReason.PERSON}
+    assert remedy in commonest([{"frames": 4, "reasons": reasons}, {"frames": 3, "reasons": {}}])
+
+
+def figures_of(heads, people=(), followed=True):
+    """Of two cameras in which somebody was seen."""
+    cameras = [{"with_person": 5, "heads": count, "reasons": {}} for count in heads]
+    return {"moments": 5, "cameras": cameras, "people": list(people), "followed": followed}
+
+
+def test_heads_that_nobody_could_be_followed_by_are_a_failure():
+    command = parse(["detect", "person", "session"])
+    failed = _failure(command, figures_of([5, 4]))
+    assert failed is not None
+    assert failed.exit_code == 4
+    assert "9 heads were seen by 2 of 2 cameras, and two must agree on one in 3 of 5 moments" in str(failed)
+    assert "5 heads were seen by 1 of 2 cameras" in str(_failure(command, figures_of([0, 5])))
+    assert _failure(command, figures_of([5, 5], people=[{"person": 1}])) is None
+    assert _failure(command, figures_of([5, 5], followed=False)) is None
+
+
+def test_landmarks_without_anybody_are_told_by_their_confidence():
+    command = parse(["detect", "person", "session", "--landmarks", "landmarks.csv", "--min-confidence", "0.95"])
+    nobody = {"moments": 5, "cameras": [{"with_person": 0, "heads": 0, "frames": 5, "reasons": {"nobody": 5}}]}
+    assert "lower --min-confidence, which is 0.95" in str(_failure(command, nobody))
+
+
+def images_of(folder):
+    return sorted(folder.glob("*.png"))
+
+
+def test_grey_videos_are_told_and_left_out_beside_an_empty_room_in_colour(session, tmp_path):
+    folder = tmp_path / "grey"
+    for part, count in (("videos", 2), ("empty", 12)):
+        (folder / part / "cam_0").mkdir(parents=True)
+        for path in images_of(session / part / "cam_0")[:count]:
+            shutil.copy(path, folder / part / "cam_0")
+    for path in images_of(folder / "videos/cam_0"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    (views,) = watch_session(open_session(folder), PersonSettings(), workers=1)
+    assert set(views.reasons) == {FrameReason.WITHOUT_COLOUR}
+    assert "'cam_0': 2 of 2 images have no colour and the empty room has" in views.notes[-1]
+    for path in images_of(folder / "empty/cam_0"):
+        cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
+    (views,) = watch_session(open_session(folder), PersonSettings(), workers=1)
+    assert set(views.reasons) == {FrameReason.PERSON}
+    assert "'cam_0': 2 of 2 images have no colour, so that skin cannot be told" in views.notes[-1]
+
+
+def test_an_empty_room_that_does_not_fit_names_its_camera(session, tmp_path, capsys):
+    folder = tmp_path / "short"
+    for part in ("videos", "empty"):
+        shutil.copytree(session / part / "cam_1", folder / part / "cam_1")
+    for path in images_of(folder / "empty/cam_1"):
+        cv2.imwrite(str(path), cv2.resize(cv2.imread(str(path)), (320, 240)))
+    assert run(folder, tmp_path / "run", tmp_path / "cache") == 7
+    assert re.search("camera 'cam_1' .* with 320 x 240 px and its video with 640 x 480;", capsys.readouterr().err)
+    for path in images_of(folder / "empty/cam_1")[3:]:
+        path.unlink()
+    for path in images_of(folder / "empty/cam_1"):
+        shutil.copy(images_of(session / "empty/cam_1")[0], path)
+    assert run(folder, tmp_path / "run", tmp_path / "cache") == 4
+    assert "Camera 'cam_1': A background is learnt from at least 10 images" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 def test_wrong_input_is_told_in_a_sentence_and_leaves_nothing(session, cache, tmp_path, capsys):

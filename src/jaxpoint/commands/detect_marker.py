@@ -13,9 +13,10 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
+from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import Count, RoomConfig
-from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from jaxpoint.io.session import Session
     from jaxpoint.person.marker_tips import MarkerTip
     from jaxpoint.person.markers import CameraMarkers
+
+_FAINT = "Pick more of the marker, in other light too, or widen --marker.deviations."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,12 +55,17 @@ class DetectMarker(SeededOptions):
     workers: Count = 0
     """Processes used, one camera each; 0 takes one per core."""
     settings: Annotated[PersonSettings, Inline] = field(default_factory=PersonSettings)
+    marker: MarkerSettings = field(default_factory=MarkerSettings)
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> DetectMarker:
         """The command's defaults under a configuration file."""
         return DetectMarker(
-            session=tyro.MISSING, samples=tyro.MISSING, settings=room.detect.person, runtime=room.runtime
+            session=tyro.MISSING,
+            samples=tyro.MISSING,
+            settings=room.detect.person,
+            marker=room.detect.marker,
+            runtime=room.runtime,
         )
 
     def run(self, console: Console) -> Outcome:
@@ -73,16 +81,23 @@ class DetectMarker(SeededOptions):
         out = self.needed_folder("marker-run")
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration)
-        samples = read_marker_samples(self.samples, session, self.settings.marker.sample_radius_px)
-        model = learn_marker(session, samples, self.settings.marker)
+        samples = read_marker_samples(self.samples, session, self.marker.sample_radius_px)
+        model = learn_marker(session, samples, self.marker)
         kept = self.cache or default_cache()
         with console.progress() as progress:
             markers = watch_markers(
-                session, model, self.settings, cache=kept, anew=self.anew, workers=self.workers, progress=progress
+                session,
+                model,
+                self.settings,
+                self.marker,
+                cache=kept,
+                anew=self.anew,
+                workers=self.workers,
+                progress=progress,
             )
         tips = None
         if session.rig is not None and len(session.names) > 1:
-            tips = marker_tips(session.rig, markers, self.settings.marker)
+            tips = marker_tips(session.rig, markers, self.marker)
         figures = _write(self, out, session, model, markers, tips)
         return Outcome(figures, _lines(figures, out), _failure(figures))
 
@@ -104,12 +119,12 @@ def _write(
     from jaxpoint.report.marker import write_marker_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
-    figures = {"run": str(out), **_figures(session, model, markers, tips)}
+    figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [*session.files, command.samples], command.seed)
     with new_run(out, command.force) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings)))
+        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings, marker=command.marker)))
         (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
         if tips is not None:
@@ -127,20 +142,32 @@ def _write(
 
 
 def _figures(
-    session: Session, model: MarkerModel, markers: tuple[CameraMarkers, ...], tips: list[MarkerTip] | None
+    command: DetectMarker,
+    session: Session,
+    model: MarkerModel,
+    markers: tuple[CameraMarkers, ...],
+    tips: list[MarkerTip] | None,
 ) -> dict[str, Any]:
+    from jaxpoint.detect.marker import is_mixture
     from jaxpoint.person.marker_tables import why
 
     cameras = []
     for name, own in zip(session.names, markers):
         reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
         cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
+    notes = [*session.notes, *(note for own in markers for note in own.notes)]
+    if is_mixture(model, command.marker):
+        notes.append(
+            "The samples seem to hold several colours: the gates of hue, saturation and value "
+            f"({model.hue_gate:g}, {model.saturation_gate:g}, {model.value_gate:g}) are as wide as they go. Pick the "
+            "marker's middle, with a smaller radius_px."
+        )
     figures: dict[str, Any] = {
         "moments": len(session.moments),
         "model": asdict(model),
         "cameras": cameras,
         "in_room": None,
-        "notes": [*session.notes, *(note for own in markers for note in own.notes)],
+        "notes": notes,
     }
     if tips is not None:
         reasons = Counter(tip.reason.name.lower() for tip in tips if not tip.found)
@@ -168,9 +195,16 @@ def _counts(reasons: dict[str, int]) -> str:
 
 
 def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
-    if any(camera["found"] for camera in figures["cameras"]):
+    cameras, room = figures["cameras"], figures["in_room"]
+    found = [camera["found"] for camera in cameras if camera["found"]]
+    if not found:
+        return InsufficientDataError(
+            f"The marker was found in none of {figures['moments']} moments of {len(cameras)} cameras; the table says "
+            f"what each frame held, {commonest(cameras, _FAINT)}"
+        )
+    if room is None or room["tips"]:
         return None
     return InsufficientDataError(
-        f"The marker was found in none of {figures['moments']} moments of {len(figures['cameras'])} cameras; the table "
-        "says what each frame held. Pick more of the marker, in other light too, or widen --marker.deviations."
+        f"The marker has no tip in the room in any of {figures['moments']} moments ({_counts(room['reasons'])}), though"
+        f" {len(found)} of {len(cameras)} cameras show it in {sum(found)} images. {OF_THIS_ROOM} {_FAINT}"
     )

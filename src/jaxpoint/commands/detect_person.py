@@ -13,6 +13,7 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
+from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
 from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
@@ -74,7 +75,7 @@ class DetectPerson(SeededOptions):
         with console.progress() as progress:
             views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
         figures = _write(self, out, session, views, following)
-        return Outcome(figures, _lines(figures, out), _failure(figures))
+        return Outcome(figures, _lines(figures, out), _failure(self, figures))
 
 
 def _seen(
@@ -195,10 +196,18 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
 
 
-def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
-    if any(camera["with_person"] for camera in figures["cameras"]):
+def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientDataError | None:
+    cameras = figures["cameras"]
+    if not any(camera["with_person"] for camera in cameras):
+        nobody = f"Nobody was found in {figures['moments']} moments of {len(cameras)} cameras; "
+        if command.landmarks is not None:
+            return InsufficientDataError(f"{nobody}lower --min-confidence, which is {command.min_confidence:g}.")
+        return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
+    if figures["people"] or not figures["followed"]:
         return None
+    heads = [camera["heads"] for camera in cameras if camera["heads"]]
+    agreed, of = command.track.confirm
     return InsufficientDataError(
-        f"Nobody was found in {figures['moments']} moments of {len(figures['cameras'])} cameras; the table says what "
-        "each frame held. A lower --background.threshold finds fainter people."
+        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras,"
+        f" and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}"
     )

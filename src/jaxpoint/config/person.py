@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, check_not_above
 
 
 @dataclass(frozen=True)
@@ -37,6 +37,9 @@ class MotionSettings:
     """It is one if this part of them changes in the same direction."""
     switch_levels: Positive = 15.0
     """Grey levels by which a pixel must change to count for it."""
+
+    def __post_init__(self) -> None:
+        check_not_above("motion.canny_low", self.canny_low, "motion.canny_high", self.canny_high)
 
 
 @dataclass(frozen=True)
@@ -112,6 +115,9 @@ class HeadSettings:
     """Least correlation of a head; the thesis's is 0.6."""
     upper_part: Fraction = 0.5
     """Part of the silhouette, from its top, that is searched."""
+
+    def __post_init__(self) -> None:
+        check_not_above("head.nearest_m", self.nearest_m, "head.farthest_m", self.farthest_m)
 
 
 @dataclass(frozen=True)
@@ -195,17 +201,17 @@ class PersonSettings:
     silhouette: SilhouetteSettings = field(default_factory=SilhouetteSettings)
     head: HeadSettings = field(default_factory=HeadSettings)
     skin: SkinSettings = field(default_factory=SkinSettings)
-    marker: MarkerSettings = field(default_factory=MarkerSettings)
-    thesis: ThesisSettings = field(default_factory=ThesisSettings)
 
 
 def thesis_person() -> PersonSettings:
-    """The thesis's own methods and defaults at every stage: the baseline."""
+    """The thesis's own methods and defaults at every stage: the baseline.
+
+    Its regions of pointing have settings of their own, `ThesisSettings`; its marker is found with `gates="fixed"`.
+    """
     return PersonSettings(
         motion=MotionSettings(width_px=0, floor_px=50),
         background=BackgroundSettings(width_px=0, reach_px=0, follow_light=False, shadows=False),
         silhouette=SilhouetteSettings(width_px=0, thicken=1, close_px=7, people=1),
         head=HeadSettings(method="thesis", template_px=24, min_score=0.6),
         skin=SkinSettings(model="thesis"),
-        marker=MarkerSettings(gates="fixed"),
     )

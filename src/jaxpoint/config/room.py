@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Literal
 
 from jaxpoint.config.loading import load_settings
-from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.config.track import TrackSettings
@@ -168,6 +168,7 @@ class DetectSettings:
 
     led: LedSettings = field(default_factory=LedSettings)
     person: PersonSettings = field(default_factory=PersonSettings)
+    marker: MarkerSettings = field(default_factory=MarkerSettings)
 
 
 @dataclass(frozen=True)

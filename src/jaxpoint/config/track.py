@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, check_not_above
+from jaxpoint.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -31,3 +32,12 @@ class TrackSettings:
     """A track counts once it was measured in so many of its first so many frames."""
     occlusion_s: Positive = 2.0
     """A track that is not measured for longer ends; whoever appears later is a new person."""
+
+    def __post_init__(self) -> None:
+        low, high = self.height_m
+        if low >= high:
+            raise UsageError(
+                f"The setting 'track.height_m' cannot be used: its lowest, {low:g}, is not below its highest, {high:g};"
+                " give the lower height first."
+            )
+        check_not_above("track.confirm[0]", self.confirm[0], "track.confirm[1]", self.confirm[1])

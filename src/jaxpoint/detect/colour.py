@@ -8,15 +8,15 @@ from jaxtyping import Float, UInt8
 
 Image = UInt8[np.ndarray, "H W 3"]  # blue, green, red
 
-GREY_SPREAD = 4.0  # grey levels between the channels, 99th percentile: an image with less has no colour
+GREY_SPREAD = 4.0  # grey levels between the channels: a pixel with less has no colour
 
 
-def is_grey(image: Image) -> bool:
-    """Whether an image has no colour, as of an infrared or a monochrome camera."""
+def is_grey(image: Image, coloured: float = 0.01) -> bool:
+    """Whether an image has no colour, as of an infrared or a monochrome camera: at most this part of its pixels."""
     some = image[::8, ::8] if min(image.shape[:2]) > 64 else image
     blue, green, red = (some[..., channel].ravel() for channel in range(3))
     highest, lowest = np.maximum(np.maximum(blue, green), red), np.minimum(np.minimum(blue, green), red)
-    return bool(np.percentile(highest - lowest, 99) < GREY_SPREAD)
+    return bool(np.percentile(highest - lowest, 100 * (1 - coloured)) < GREY_SPREAD)
 
 
 def scaled(image: Image, gains: Float[np.ndarray, "3"]) -> Image:

@@ -19,6 +19,7 @@ from jaxpoint.errors import InsufficientDataError
 LEVELS = np.arange(256.0)
 BAR = np.sqrt(12) / 4  # length of a bar over the major axis of the ellipse with its second moments
 DEVIATION_OF_MEDIAN = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+WIDEST = 2  # times the fixed gates, that learnt ones reach
 CIRCLE = 180  # OpenCV's hues of 8-bit images
 
 
@@ -75,10 +76,16 @@ def train_marker(bgr_pixels: UInt8[np.ndarray, "N 3"], settings: MarkerSettings)
     middle = np.array([_mean_hue(hue), np.median(saturation), np.median(value)])
     off = (_hue_distance(hue, middle[0]), np.abs(saturation - middle[1]), np.abs(value - middle[2]))
     spreads = DEVIATION_OF_MEDIAN * np.median(off, axis=1)
-    fixed = np.array([settings.hue_gate, settings.saturation_gate, settings.value_gate])
-    learnt = np.clip(settings.deviations * spreads, fixed / 2, 2 * fixed)
+    fixed = _fixed(settings)
+    learnt = np.clip(settings.deviations * spreads, fixed / 2, WIDEST * fixed)
     gates = learnt if settings.gates == "sigma" else fixed
     return MarkerModel(*middle.tolist(), *gates.tolist())
+
+
+def is_mixture(model: MarkerModel, settings: MarkerSettings) -> bool:
+    """Whether the pixels that taught a marker differ so much that all learnt gates are as wide as they go."""
+    gates = np.array([model.hue_gate, model.saturation_gate, model.value_gate])
+    return settings.gates == "sigma" and bool((gates >= WIDEST * _fixed(settings)).all())
 
 
 def find_markers(image: Image, silhouette: Silhouette, model: MarkerModel, settings: MarkerSettings) -> Markers:
@@ -131,6 +138,10 @@ def marker_mask(image: Image, model: MarkerModel) -> Bool[np.ndarray, "H W"]:
     passed = cv2.LUT(cv2.cvtColor(image, cv2.COLOR_BGR2HSV), near.view(np.uint8)[None])
     hue, saturation, value = cv2.split(passed)
     return cv2.bitwise_and(hue, cv2.bitwise_and(saturation, value)) > 0
+
+
+def _fixed(settings: MarkerSettings) -> Float[np.ndarray, "3"]:
+    return np.array([settings.hue_gate, settings.saturation_gate, settings.value_gate])
 
 
 def _mean_hue(hues: Float[np.ndarray, " N"]) -> float:

@@ -31,6 +31,7 @@ BLOWN = 0.5  # part of the pixels that are saturated in an image with too much
 SATURATED = 250
 MARGIN = 0.35  # of a silhouette's height, around it: an arm may be cut off from the trunk
 GAP = 0.2  # of a head's height, the widest gap in a limb that is closed
+COLOURED = 0.1  # part of the room's pixels with colour, beyond which an image without any differs by that alone
 SEAM_PX = 3  # on either side of an outline, within which it is decided at the image's own size
 SEAM_LEVELS = 18.0  # grey levels, sum of the differences in Y, Cr and Cb: foreground at that size
 
@@ -46,6 +47,7 @@ class FrameReason(IntEnum):
     LIGHT_SWITCHED = 5  # most of the image changed in one direction
     IDLE = 6  # nothing moved, and nobody was there before
     NOBODY = 7  # nothing that is large enough differs from the room
+    WITHOUT_COLOUR = 8  # the empty room was recorded in colour, so that all of a grey image differs from it
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,7 @@ class PersonWatch:
             model: of skin; by default the one that the settings name.
         """
         self._room = None if background is None else background.whole
+        self._in_colour = background is not None and not is_grey(background.whole, COLOURED)
         balanced = settings.skin.white_balance
         self._gains = white_gains(background.whole) if balanced and background is not None else None
         self._background = background if background is not None else AdaptiveBackground(settings.background)
@@ -128,12 +131,14 @@ class PersonWatch:
             self._occupied = True
 
     def _seen(self, image: Image, edges: int) -> Look:
+        grey = is_grey(image)
+        if grey and self._in_colour:
+            return Look(FrameReason.WITHOUT_COLOUR, edges, grey)
         if isinstance(self._background, AdaptiveBackground):
             mask = self._background.foreground(image)
         else:
             mask = foreground(image, self._background, self._settings.background)
         found = silhouettes(mask, self._settings.silhouette)
-        grey = is_grey(image)
         if not found:
             self._occupied = self._still < self._settings.motion.frames_off
             return Look(FrameReason.NOBODY, edges, grey)

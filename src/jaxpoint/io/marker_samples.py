@@ -34,8 +34,8 @@ def read_marker_samples(path: StrPath, session: Session, radius_px: float) -> li
         radius_px: where the file does not say it.
 
     Raises:
-        FileFormatError: a missing column or value, an unknown camera, a moment of which the camera has no image, or a
-            place outside of the image.
+        FileFormatError: a missing column or value, an unknown camera, a moment of which the camera has no image, a
+            place outside of the image, or a disc that is larger than it.
     """
     return [_sample(row, session, radius_px) for row in read_table(path, ("camera", "frame", "x", "y"))]
 
@@ -59,4 +59,9 @@ def _sample(row: Row, session: Session, radius_px: float) -> MarkerSample:
     radius = radius_px if row.missing("radius_px") else row.number("radius_px")
     if radius < 0:
         raise row.error(f"column 'radius_px' is {radius:g}; give 0 or more.")
+    if 2 * radius > min(width, height):
+        raise row.error(
+            f"a disc of {radius:g} px radius is larger than the image of camera '{session.names[camera]}', which has "
+            f"{width} x {height} px; give how far around the pixel all is marker."
+        )
     return MarkerSample(camera, int(found[0]), x, y, radius)

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import Row, StrPath, read_table
 from jaxpoint.io.session import Session
 
 SIDED = ("eye", "ear", "shoulder", "elbow", "wrist", "index")
 JOINTS = ("head", "nose", *(f"{side}_{part}" for side in ("left", "right") for part in SIDED))
+BEYOND = 1.0  # image sizes by which a landmark may lie outside: estimators guess at limbs that the border cuts off
 _ENDINGS = ("_finger_tip", "_finger", "_tip")  # of an index finger
 
 
@@ -42,7 +44,8 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> Poses:
 
     Raises:
         FileFormatError: a missing column or value, an unknown camera, a frame that the session has not, a confidence
-            outside of 0..1, the same landmark twice, or no name that is known.
+            outside of 0..1, a place far outside of the image or in fractions of it, the same landmark twice, or no name
+            that is known.
     """
     rows = read_table(path, ("frame", "camera", "name", "x", "y", "confidence"))
     places = {int(frame): place for place, frame in enumerate(session.moments)}
@@ -62,12 +65,14 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> Poses:
                 f"camera '{session.names[key[1]]}' has '{joint}' twice in frame {row.integer('frame')}; tell people "
                 "apart in a column 'person'."
             )
-        found[key][joint] = row.number("x"), row.number("y"), confidence
+        found[key][joint] = *_pixel(row, session, key[1]), confidence
     if not known:
         raise rows[0].error(
             f"no landmark has a known name, the first is '{rows[0].text('name')}'; use {', '.join(JOINTS)}."
         )
-    return _stacked(found)
+    poses = _stacked(found)
+    _check_pixels(path, poses)
+    return poses
 
 
 def joint_of(name: str) -> str:
@@ -88,6 +93,27 @@ def _moment(row: Row, places: dict[int, int], session: Session) -> int:
             f"the session has no frame {frame}; its frames go from {session.moments.min()} to {session.moments.max()}."
         )
     return places[frame]
+
+
+def _pixel(row: Row, session: Session, camera: int) -> tuple[float, float]:
+    x, y = row.number("x"), row.number("y")
+    width, height = session.sizes[camera].tolist()
+    if not (-BEYOND <= x / width <= 1 + BEYOND and -BEYOND <= y / height <= 1 + BEYOND):
+        raise row.error(
+            f"({x:g}, {y:g}) lies far outside the image of camera '{session.names[camera]}', which has {width} x "
+            f"{height} px; give pixels of that image, and no line where a landmark was not found."
+        )
+    return x, y
+
+
+def _check_pixels(path: StrPath, poses: Poses) -> None:
+    """Fractions of the image, as some estimators give them, are no pixels: all would lie in the first corner."""
+    given = poses.pixels[poses.seen]
+    if given.size and given.min() >= -BEYOND and given.max() <= 1 + BEYOND:
+        raise FileFormatError(
+            f"{path}: all {given.size} coordinates lie between {given.min():.3g} and {given.max():.3g}, as fractions "
+            "of the image do; give pixels: multiply x by the image's width and y by its height."
+        )
 
 
 def _stacked(found: dict[tuple[int, int, str], dict[str, tuple[float, float, float]]]) -> Poses:

@@ -20,9 +20,18 @@ from jaxpoint.io.files import replacing
 from jaxpoint.io.marker_samples import MarkerSample
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import open_frames
-from jaxpoint.person.recording import CameraJob, Frames, Progress, camera_job, content_key, learn_room, side_by_side
+from jaxpoint.person.recording import (
+    CameraJob,
+    Frames,
+    Progress,
+    camera_job,
+    content_key,
+    learn_room,
+    left_out_notes,
+    side_by_side,
+)
 
-FORMAT = 1  # of the kept files; higher whenever the marker is found otherwise
+FORMAT = 2  # of the kept files; higher whenever the marker is found otherwise
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,7 @@ class MarkerJob:
 
     camera: CameraJob
     model: MarkerModel
+    settings: MarkerSettings
 
 
 def picked_pixels(session: Session, samples: Sequence[MarkerSample]) -> UInt8[np.ndarray, "N 3"]:
@@ -91,6 +101,7 @@ def watch_markers(
     session: Session,
     model: MarkerModel,
     settings: PersonSettings,
+    marker: MarkerSettings,
     *,
     cache: Path | None = None,
     anew: bool = False,
@@ -104,7 +115,8 @@ def watch_markers(
     Args:
         session: the videos.
         model: of the marker.
-        settings: of all detectors.
+        settings: of the detectors of people.
+        marker: of the marker's.
         cache: folder of what earlier calls found; None keeps nothing.
         anew: look again where something was kept.
         workers: processes at most; 0 for one a core.
@@ -114,7 +126,7 @@ def watch_markers(
         FileFormatError: a video that cannot be decoded at all.
         InsufficientDataError: too few frames to learn a background from.
     """
-    jobs = [_job(session, camera, model, settings, cache) for camera in range(len(session.names))]
+    jobs = [_job(session, camera, model, settings, marker, cache) for camera in range(len(session.names))]
     for job in jobs:
         if anew and job.camera.kept is not None:
             job.camera.kept.unlink(missing_ok=True)
@@ -125,7 +137,7 @@ def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
     """Learn one camera's room, then look through its frames.
 
     Raises:
-        FileFormatError: no frame of the video can be decoded.
+        FileFormatError: no frame of the video can be decoded, or the empty room has images of another size.
         InsufficientDataError: too few frames to learn a background from.
     """
     own = job.camera
@@ -141,8 +153,8 @@ def watch_camera(job: MarkerJob, advance: Advance) -> CameraMarkers:
     background, threshold, notes = learn_room(own, source)
     watcher = PersonWatch(background, threshold, own.focal_px, own.settings)
     frames = Frames(own, source)
-    markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, own.settings.marker, advance)
-    markers = replace(markers, notes=(*notes, *frames.notes))
+    markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, job.settings, advance)
+    markers = replace(markers, notes=(*notes, *frames.notes, *left_out_notes(own.name, markers.reasons)))
     if own.kept is not None:
         own.kept.parent.mkdir(parents=True, exist_ok=True)
         save_markers(own.kept, markers)
@@ -207,11 +219,18 @@ def disc(image: Image, x: float, y: float, radius_px: float) -> UInt8[np.ndarray
     return image[rows[inside], columns[inside]]
 
 
-def _job(session: Session, camera: int, model: MarkerModel, settings: PersonSettings, cache: Path | None) -> MarkerJob:
+def _job(
+    session: Session,
+    camera: int,
+    model: MarkerModel,
+    settings: PersonSettings,
+    marker: MarkerSettings,
+    cache: Path | None,
+) -> MarkerJob:
     own = camera_job(session, camera, settings, None)
     if cache is not None:
-        own = replace(own, kept=cache / f"marker-{content_key(own, f'{FORMAT} {model!r}')}.npz")
-    return MarkerJob(own, model)
+        own = replace(own, kept=cache / f"marker-{content_key(own, f'{FORMAT} {model!r} {marker!r}')}.npz")
+    return MarkerJob(own, model, marker)
 
 
 _ARRAYS = ("reasons", "markers", "moment", "area", "centroid", "tip", "base", "person")

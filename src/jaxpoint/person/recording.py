@@ -16,10 +16,10 @@ from jaxpoint.config import to_toml
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.detect.colour import Image
 from jaxpoint.detect.motion import learn_threshold, motion_between
-from jaxpoint.detect.person import PersonWatch
+from jaxpoint.detect.person import FrameReason, PersonWatch
 from jaxpoint.detect.silhouette import RoomBackground, learn_background, never_clears
 from jaxpoint.detect.workers import Advance, run_cameras
-from jaxpoint.errors import FileFormatError
+from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import FrameSource, open_frames
 from jaxpoint.person.views import FORMAT, CameraViews, load_views, save_views, watch
@@ -118,7 +118,7 @@ def watch_camera(job: CameraJob, advance: Advance) -> CameraViews:
     """Learn one camera's room, then look through its frames.
 
     Raises:
-        FileFormatError: no frame of the video can be decoded.
+        FileFormatError: no frame of the video can be decoded, or the empty room has images of another size.
         InsufficientDataError: too few frames to learn a background from.
     """
     if job.kept is not None and job.kept.is_file():
@@ -134,7 +134,8 @@ def watch_camera(job: CameraJob, advance: Advance) -> CameraViews:
     watcher = PersonWatch(background, threshold, job.focal_px, job.settings)
     frames = Frames(job, source)
     views = watch(frames.read(), len(job.frame_index), source.size, watcher, advance, notes)
-    views = replace(views, notes=(*notes, *frames.notes))
+    colour = (*left_out_notes(job.name, views.reasons), *_grey_notes(job.name, views))
+    views = replace(views, notes=(*notes, *frames.notes, *colour))
     if job.kept is not None:
         job.kept.parent.mkdir(parents=True, exist_ok=True)
         save_views(job.kept, views)
@@ -142,9 +143,20 @@ def watch_camera(job: CameraJob, advance: Advance) -> CameraViews:
 
 
 def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | None, float, list[str]]:
-    """Background and motion threshold, from the empty room's recording where there is one; and what to tell of it."""
+    """Background and motion threshold, from the empty room's recording where there is one; and what to tell of it.
+
+    Raises:
+        FileFormatError: the empty room has images of another size.
+        InsufficientDataError: too few frames to learn a background from.
+    """
     settings, notes = job.settings, []
     empty = source if job.empty is None else open_frames(job.empty)
+    if empty.size != source.size:
+        (width, height), (own_width, own_height) = empty.size, source.size
+        raise FileFormatError(
+            f"The empty room of camera '{job.name}' ('{job.empty}') was recorded with {width} x {height} px and its "
+            f"video with {own_width} x {own_height}; record both alike."
+        )
     adaptive = settings.background.method != "static"
     images = _spread(empty, settings.background.max_frames)
     if job.empty is None and not adaptive and len(images) >= settings.background.min_frames:
@@ -156,7 +168,10 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
             )
             adaptive = True
             settings = replace(settings, background=replace(settings.background, method="mog2"))
-    background = None if adaptive else learn_background(images, settings.background)
+    try:
+        background = None if adaptive else learn_background(images, settings.background)
+    except InsufficientDataError as error:
+        raise InsufficientDataError(f"Camera '{job.name}': {error}") from None
     counts = _edge_counts(empty, settings)
     if job.empty is None:
         counts = np.sort(counts)[: max(1, int(QUIET * len(counts)))]
@@ -167,6 +182,28 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
         )
         return background, float(settings.motion.floor_px), notes
     return background, learn_threshold(counts, settings.motion), notes
+
+
+def left_out_notes(name: str, reasons: Int[np.ndarray, " F"]) -> tuple[str, ...]:
+    """What to tell of a camera whose grey images cannot be held against its empty room; nothing where they can."""
+    count = int((reasons == FrameReason.WITHOUT_COLOUR).sum())
+    if not count:
+        return ()
+    return (
+        f"Camera '{name}': {count} of {len(reasons)} images have no colour and the empty room has, so that all of them "
+        "would differ from it; they are left out. Record both in one mode of the camera.",
+    )
+
+
+def _grey_notes(name: str, views: CameraViews) -> tuple[str, ...]:
+    """What to tell of a camera in whose images people were looked for without colour."""
+    count = int((views.grey & (views.reasons != FrameReason.WITHOUT_COLOUR)).sum())
+    if not count:
+        return ()
+    return (
+        f"Camera '{name}': {count} of {len(views.grey)} images have no colour, so that skin cannot be told and arms "
+        "are found by their outlines alone; a colour camera finds more of them.",
+    )
 
 
 class Frames:

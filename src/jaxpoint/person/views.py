@@ -20,7 +20,7 @@ from jaxpoint.io.files import replacing
 
 HEAD_ASPECT = 0.78  # width of a head over its height
 OUTSIDE = 0.15  # of a head's width or height that may lie beyond the image's border
-FORMAT = 3  # of the kept files; higher whenever a detector gives other results
+FORMAT = 4  # of the kept files; higher whenever a detector gives other results
 
 
 @dataclass(frozen=True)
