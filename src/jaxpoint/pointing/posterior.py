@@ -201,8 +201,10 @@ def _of_line(
     ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
     visible = jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0)
     sound = _is_line(line) & ~jnp.isnan(total)
-    numbers = (jnp.where(sound, found, jnp.nan) for found in (chance, rest, mass, visible, total))
-    return Posterior(*numbers, ~sound | ambiguous)
+    chance, rest, mass, visible, total = (
+        jnp.where(sound, found, jnp.nan) for found in (chance, rest, mass, visible, total)
+    )
+    return Posterior(chance, rest, mass, visible, total, ~sound | ambiguous)
 
 
 def _is_line(line: PointingLine) -> Bool[Array, ""]:
