@@ -1,6 +1,7 @@
 """`jaxpoint bias fit`, `apply` and `compare`, and the bias that comes with the package."""
 
 import json
+import re
 from pathlib import Path
 
 import crowds
@@ -32,6 +33,16 @@ def test_fit_then_apply(tmp_path, table, capsys):
     assert "--force" in capsys.readouterr().err
 
 
+def test_a_bias_that_is_no_number_is_refused(tmp_path, table, capsys):
+    bias, out = tmp_path / "bias.toml", tmp_path / "corrected.csv"
+    text = (Path(__file__).parents[1] / "configs" / "forearm_bias.toml").read_text()
+    for number in ("nan", "inf"):
+        bias.write_text(re.sub(r"azimuth_deg = .*", f"azimuth_deg = {number}", text))
+        assert main(["bias", "apply", str(table), "--bias", str(bias), "--out", str(out)]) == 7
+        assert f"model.azimuth_deg is {number}, which is no finite number" in capsys.readouterr().err
+    assert not out.exists()
+
+
 def test_fit_of_one_person(tmp_path, table, capsys):
     bias, own, anna = (tmp_path / name for name in ("bias.toml", "anna.csv", "anna.toml"))
     everybody = read_pointings(table)
@@ -54,6 +65,8 @@ def test_compare(table, capsys):
     assert models["none"]["low_deg"] < models["none"]["median_deg"] < models["none"]["high_deg"]
     assert main(["bias", "compare", str(table), "--lines", "finger"]) == 4
     assert "no line 'finger'" in capsys.readouterr().err
+    assert main(["bias", "compare", str(table), "--out", "scores.csv"]) == 2
+    assert "leave out --out" in capsys.readouterr().err
 
 
 def test_the_forearm_of_the_package_is_the_studys():

@@ -201,7 +201,7 @@ def test_wrong_toml_names_the_section(tmp_path, path, value, message):
 
 def test_what_is_no_calibration(tmp_path):
     for name, text, message in (
-        ("a.json", "{", "truncated"),
+        ("a.json", "{", "truncated; copy it again"),
         ("b.json", "[]", "is not a calibration.json"),
         ("c.toml", "= 1", "it is not TOML"),
         ("d.toml", "[metadata]\n", "holds no camera"),

@@ -6,10 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
+from jaxpoint.answer import answers
 from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.objects import CORNERS, append_object, read_objects
+from jaxpoint.io.objects import CORNERS, NOTHING, append_object, check_shape, read_objects
 from jaxpoint.pointing.objects import Box, Rectangle, Sphere, Thing
 from jaxpoint.simulate.rooms import random_room
 
@@ -76,8 +77,11 @@ def test_what_is_read(tmp_path):
         ([row(), row()], HEAD, "2 objects named 'poster'"),
         ([row(), row("far", 300 + POSTER)], HEAD, "lie up to 301 m apart"),
         ([row(corners=POSTER[[0, 1, 3, 2]])], HEAD, "twisted: its top and bottom are 180 degrees apart"),
-        ([row(corners=POSTER[[0, 0, 2, 2]])], HEAD, "'poster' has a side of 0.0 mm"),
-        ([row(corners=np.outer([0, 1, 2, 3], [1.0, 0, 0]))], HEAD, "'poster' has a side of 0.0 mm"),
+        ([row(corners=POSTER[[0, 0, 2, 2]])], HEAD, "'poster' has a side of 0 mm"),
+        ([row(corners=0.0009994 * POSTER)], HEAD, r"'poster' has a side of 0\.999 mm.*correct the unit"),
+        ([row(corners=np.outer([0, 1, 2, 3], [1.0, 0, 0]))], HEAD, "'poster' has all corners on one line"),
+        ([row(corners=1e300 * POSTER)], HEAD, r"a size of 1e\+300 m"),
+        ([row("Nothing")], HEAD, "is the answer where no object is meant; give it another name"),
         ([row().replace("2.0", "two", 1)], HEAD, "which is not a number"),
     ],
 )
@@ -92,9 +96,17 @@ def test_a_bad_table_is_refused(tmp_path, rows, head, message):
         ('unit = "cm"', "", "says no unit"),
         ('unit = "cm"', 'unit = "ft"', "the unit is 'ft'"),
         ("[100, 0, 200], ", "", "has 3 corners"),
-        ("radius = 15", "radius = -1", "'lamp' has a side of -10.0 mm"),
-        ("radius = 15", "radius = 15\ncolour = 3", "unknown field `colour`"),
+        ("radius = 15", "radius = -1", "'lamp' has a radius of -10 mm"),
+        ("radius = 15", "radius = nan", r"sphere\[0\]\.radius is nan"),
+        ("yaw_deg = 30", "yaw_deg = inf", r"box\[0\]\.yaw_deg is inf"),
+        ("radius = 15", "radius = 15\ncolour = 3", r"unknown field `colour`.*\[\[sphere\]\] \(name, center, radius\)"),
+        ("[[sphere]]", "[[cone]]", r"unknown field `cone`; it must hold unit"),
+        ('name = "lamp"', 'name = ""', "named '': that is empty"),
+        ('name = "lamp"', 'name = " poster"', "named ' poster': that is empty, or has a line break or spaces"),
+        ('name = "lamp"', 'name = "nothing"', "is the answer where no object is meant"),
         ("high = [600", "high = [-600", "low x is not below its high x"),
+        ("high = [600, 500", "high = [600, nan", r"room\.high\[1\] is nan"),
+        ("high = [600", "high = [30000", "The room of .* is 300 m long"),
         ("yaw_deg = 30", "yaw_deg = ", "is not TOML"),
     ],
 )
@@ -102,6 +114,35 @@ def test_a_bad_toml_is_refused(tmp_path, old, new, message):
     (tmp_path / "objects.toml").write_text(TOML.replace(old, new, 1))
     with pytest.raises(FileFormatError, match=message):
         read_objects(tmp_path / "objects.toml")
+
+
+def test_shapes_with_numbers_that_are_none_are_refused():
+    for shape in (
+        Rectangle(np.where(POSTER == 2, np.nan, POSTER)),
+        Box(POSTER[0], np.array([1, np.inf, 1])),
+        Sphere(POSTER[0], np.nan),
+    ):
+        with pytest.raises(FileFormatError, match=r"a size of (nan|inf) m"):
+            check_shape(shape, "it")
+
+
+def test_an_empty_table_and_an_ending_in_capitals(tmp_path):
+    (tmp_path / "objects.csv").write_text("")
+    with pytest.raises(FileFormatError, match="is empty; its first line must be name,unit,lt_x"):
+        read_objects(tmp_path / "objects.csv")
+    (tmp_path / "OBJECTS.TOML").write_text(TOML)
+    assert len(read_objects(tmp_path / "OBJECTS.TOML").things) == 3
+
+
+def test_the_answer_nothing_is_no_name():
+    assert NOTHING == answers.NOTHING
+
+
+def test_an_extent_that_is_no_rooms_is_warned_of(tmp_path):
+    for scale, told in ((10.0, "span 40.00 m"), (0.1, "span 0.40 m")):
+        things = row(corners=scale * POSTER), row("other", scale * (POSTER + np.eye(3)[0] * 3))
+        (note,) = read_objects(csv(tmp_path, *things)).warnings
+        assert f"{told}, where 1 to 30 m are usual; check the unit" in note
 
 
 def test_a_bent_rectangle_is_warned_of(tmp_path):
@@ -150,6 +191,51 @@ def test_what_does_not_fit_leaves_the_file_alone(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("name", ["", "  ", " poster ", "#1 window", "two\nlines", "a\x85b", "nothing"])
+def test_what_is_no_name_is_not_appended(tmp_path, name):
+    path = csv(tmp_path, row("other"))
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="give it another name"):
+        append_object(path, Thing(name, Rectangle(POSTER + 1)))
+    assert path.read_bytes() == before
+
+
+def test_what_would_not_read_back_is_not_appended(tmp_path):
+    """An inline array of TOML cannot grow; a quote that is left open swallows the next line; a CSV strips its cells."""
+    inline = tmp_path / "inline.toml"
+    inline.write_text(f'unit = "m"\nrectangle = [{{name = "old", corners = {POSTER.tolist()}}}]\n')
+    table = csv(tmp_path, row("other"))
+    for path, text, kind in (
+        (inline, inline.read_text(), ""),
+        (table, table.read_text(), " padded"),
+        (table, f'{",".join(HEAD.split(",")[:2] + HEAD.split(",")[4:])},note\n'
+         + ",".join(["other", "m", *map(str, POSTER.ravel()), '"open']), ""),
+    ):  # fmt: skip
+        path.write_text(text)
+        with pytest.raises(FileFormatError, match=r"would not be read as it should with 'new' at its end"):
+            append_object(path, Thing("new", Rectangle(POSTER + 1), kind))
+        assert path.read_text() == text
+
+
+def test_what_the_table_has_no_column_for_is_not_dropped(tmp_path):
+    path = csv(tmp_path, row().replace(",picture,paper wall", ""), head=HEAD.replace(",kind,tags", ""))
+    for thing, column in (
+        (Thing("new", Rectangle(POSTER + 1), "picture"), "kind"),
+        (Thing("new", Rectangle(POSTER + 1), "", ("paper",)), "tags"),
+    ):
+        with pytest.raises(UsageError, match=f"has no column '{column}'; add it"):
+            append_object(path, thing)
+
+
+def test_a_link_is_written_through(tmp_path):
+    path = csv(tmp_path, row())
+    link = tmp_path / "link.csv"
+    link.symlink_to(path)
+    append_object(link, Thing("new", Rectangle(POSTER + 1)))
+    assert link.is_symlink()
+    assert [thing.name for thing in read_objects(path).things] == ["poster", "new"]
+
+
 def run(capsys, *words):
     code = main([str(word) for word in words])
     out, err = capsys.readouterr()
@@ -170,6 +256,11 @@ def test_the_commands_list_check_and_add(tmp_path, capsys):
     assert code == 0
     assert "Added 'new'" in out
     assert [thing.name for thing in read_objects(path).things] == ["poster", "copy", "new"]
+    bent = POSTER + np.outer([0, 0, 0, 1], [0, 0.7, 0])
+    code, out, _ = run(capsys, "objects", "add", path, "--name", "bent", "--tags", "a b", "--corners", *bent.ravel())
+    assert code == 0
+    assert "'bent' lie 15.5 cm off a common plane" in out
+    assert read_objects(path).things[-1].tags == ("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -179,6 +270,16 @@ def test_the_commands_list_check_and_add(tmp_path, capsys):
         (["add", "--name", "x", "--corners", "1", "2"], 2, "has 2 numbers"),
         (["add", "--name", "x", "--views", "clicks.csv"], 2, "needs the cameras"),
         (["add", "--name", "poster", "--corners", *map(str, POSTER.ravel())], 7, "named 'poster'"),
+        (
+            ["add", "--name", "x", "--corners", "0", "nan", *map(str, POSTER.ravel()[2:])],
+            2,
+            "Number 2 of --corners is nan",
+        ),
+        (["add", "--name", "x", "--out", "new.csv"], 2, "leave out --out"),
+        (["list", "--out", "new.csv"], 2, "only prints, and nothing would come to 'new.csv'"),
+        (["check", "--out", "new.csv"], 2, "only prints, and nothing would come to 'new.csv'"),
+        (["check", "--room-low", "nan", "0", "0", "--room-high", "1", "1", "1"], 2, "Number 1 of --room-low is nan"),
+        (["check", "--room-low", "0", "0", "0", "--room-high", "1", "1", "inf"], 2, "Number 3 of --room-high is inf"),
         (["check", "--room-low", "0", "0", "0"], 2, "both --room-low and --room-high"),
         (["check", "--room-low", "0", "0", "9", "--room-high", "1", "1", "1"], 2, "exchange them"),
     ],

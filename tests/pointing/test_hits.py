@@ -158,6 +158,11 @@ def test_nearest_of_spheres_and_boxes_and_what_lies_behind():
     np.testing.assert_allclose(across.measure[:2], [0.5, 0.9], atol=1e-9)
 
 
+def test_another_measure_is_refused():
+    with pytest.raises(ValueError, match="no measure 'wall'; choose among angle, distance"):
+        nearest(Ray([0.0, 0, 0], [1.0, 0, 0]), room(0), "wall")
+
+
 def test_derivatives_of_nearest_are_finite_and_right():
     objects, lines = room(3), rays(3, 4)
 

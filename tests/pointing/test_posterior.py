@@ -208,6 +208,28 @@ def test_what_is_hidden_counts_less_and_doubt_is_told():
     assert float(beyond.nothing) > 0.99
 
 
+def test_what_is_no_line_has_no_probabilities():
+    """Nor takes those of its neighbours; a variance of 0 but for rounding is none below 0."""
+    objects = Objects.of([Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0.1, 0, 0.2, 0.2, 2.0))])
+    each = [
+        line(np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, -1e-13])),
+        PointingLine(Ray(TIP * np.nan, AHEAD), np.zeros((6, 6))),
+        line(direction=AHEAD * np.inf),
+        line(direction=np.zeros(3)),
+        line(np.diag([0, 0, 0, 0, -1e-5, 0])),
+        line(np.full((6, 6), np.nan)),
+        line(),
+        line(),
+    ]
+    evidence = np.ones((8, 2))
+    evidence[6, 0] = np.nan
+    found = posterior(jax.tree.map(lambda *leaves: jnp.stack(leaves), *each), objects, evidence=evidence)
+    for numbers in (found.probability, found.nothing[:, None], found.mass, found.visible, found.marginal[:, None]):
+        np.testing.assert_array_equal(np.isnan(numbers).all(axis=1), [False, *6 * [True], False])
+        assert np.isfinite(np.asarray(numbers)[[0, 7]]).all()
+    assert found.ambiguous[1:7].all()
+
+
 def test_the_density_of_a_line_is_that_of_one_object_and_of_none():
     """Of a small object square to the line, whose mass scipy knows and whose solid angle is its area."""
     wide, high = 0.06, 0.03

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Outcome, SeededOptions
 from jaxpoint.config import Positive, RoomConfig
 
@@ -43,6 +44,7 @@ class BiasCompare(SeededOptions):
         from jaxpoint.pointing.bias.fit import KINDS, Kind, left_out
         from jaxpoint.pointing.bias.score import score
 
+        check_no_out(self.out)
         pointings = read_pointings(self.pointings)
         pointings = pointings.of_lines(self.lines) if self.lines else pointings
         line, *others = pointings.lines

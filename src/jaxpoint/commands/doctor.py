@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 
 from jaxpoint.commands.console import Console
+from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Outcome, SeededOptions
 from jaxpoint.config import RoomConfig
 from jaxpoint.errors import MissingDependencyError
@@ -26,6 +27,7 @@ class Doctor(SeededOptions):
         """All findings; something needed that is missing is a failure of the outcome."""
         from jaxpoint.doctor import examine
 
+        check_no_out(self.out)
         findings = examine()
         wrong = [finding for finding in findings if not finding.good]
         failure = None

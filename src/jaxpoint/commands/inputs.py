@@ -1,8 +1,10 @@
-"""What several commands read: tracks, known intrinsics, and how long the detection took."""
+"""What several commands read: tracks, known intrinsics, how long the detection took, numbers of a flag."""
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -83,6 +85,27 @@ def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:
         raise UsageError("With --intrinsics say what becomes of them: --lens.known hold, or --lens.known refine.")
     if intrinsics is None and lens.known != "none":
         raise UsageError(f"--lens.known {lens.known} needs a file of known intrinsics: --intrinsics FILE.")
+
+
+def check_finite(flag: str, numbers: Sequence[float]) -> None:
+    """Refuse nan and inf.
+
+    Raises:
+        UsageError: one of the numbers is either.
+    """
+    for place, number in enumerate(numbers, start=1):
+        if not math.isfinite(number):
+            raise UsageError(f"Number {place} of {flag} is {number}; give a finite one, m.")
+
+
+def check_no_out(out: Path | None, does: str = "only prints") -> None:
+    """Refuse `--out` where a command writes nothing there.
+
+    Raises:
+        UsageError: it was given.
+    """
+    if out is not None:
+        raise UsageError(f"The command {does}, and nothing would come to '{out}'; leave out --out.")
 
 
 def detection_summary(tracks: Path) -> Path:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jaxpoint.commands.console import Console
+from jaxpoint.commands.inputs import check_finite, check_no_out
 from jaxpoint.commands.options import Options, Outcome
 from jaxpoint.config import RoomConfig
 from jaxpoint.errors import FileFormatError, UsageError
@@ -61,6 +62,7 @@ class ObjectsAdd(Options):
         from jaxpoint.pointing.objects import Rectangle, Thing
         from jaxpoint.pointing.survey import survey
 
+        check_no_out(self.out, f"writes into '{self.objects}'")
         if bool(self.corners) == (self.views is not None):
             raise UsageError("Give either --corners (twelve numbers, m) or --views with --calibration.")
         sigma, source = None, "measured"
@@ -68,24 +70,26 @@ class ObjectsAdd(Options):
             corners, sigma, count = _clicked(self.views, self.calibration)
             source = f"clicked in {count} views; one standard deviation of a corner is {1000 * sigma:.1f} mm"
         elif len(self.corners) == 12:
+            check_finite("--corners", self.corners)
             corners = np.reshape(self.corners, (4, 3))
         else:
             raise UsageError(f"--corners has {len(self.corners)} numbers; four corners have 12.")
-        thing = Thing(self.name, Rectangle(corners), self.kind, self.tags)
-        append_object(self.objects, thing)
+        thing = Thing(self.name, Rectangle(corners), self.kind.strip(), tuple(" ".join(self.tags).split()))
+        warnings = append_object(self.objects, thing)
         (found,) = survey([thing])
         figures = {
             **found.figures,
             "corners_m": corners.tolist(),
             "corner_sigma_m": sigma,
             "database": str(self.objects),
+            "warnings": warnings,
         }
         width, height = found.size_m
         line = (
             f"Added '{self.name}' to {self.objects}: {width:.3f} x {height:.3f} m, corners {source}, "
             f"{1000 * found.residual_m:.1f} mm off their plane."
         )
-        return Outcome(figures, (line,))
+        return Outcome(figures, (line, *warnings))
 
 
 def _clicked(views: Path, calibration: Path | None) -> tuple[np.ndarray, float, int]:

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Options, Outcome
 from jaxpoint.config import RoomConfig
 
@@ -33,6 +34,7 @@ class ObjectsList(Options):
         from jaxpoint.io.objects import read_objects
         from jaxpoint.pointing.survey import survey
 
+        check_no_out(self.out)
         found = survey(read_objects(self.objects).things)
         rows = [
             (one.name, one.kind, one.shape, *(f"{x:.2f}" for x in one.center_m), _size(one.size_m), " ".join(one.tags))

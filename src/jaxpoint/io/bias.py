@@ -15,7 +15,7 @@ import numpy as np
 import tomli_w
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.files import StrPath, read_text, replacing
+from jaxpoint.io.files import StrPath, check_finite, read_text, replacing
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import AbstractModel, Blend, Constant, ConstantElevation, Personal, Polynomial
 from jaxpoint.pointing.bias.spread import FREEDOMS, Spread
@@ -135,7 +135,9 @@ def read_bias(path: StrPath) -> Bias:
         FileFormatError: no such file, no TOML, an unknown or missing key, or numbers that cannot be.
     """
     try:
-        return msgspec.convert(tomllib.loads(read_text(path)), _File).bias()
+        raw = tomllib.loads(read_text(path))
+        check_finite(raw)
+        return msgspec.convert(raw, _File).bias()
     except (tomllib.TOMLDecodeError, msgspec.ValidationError, ValueError) as error:
         raise FileFormatError(f"{path} is not a bias of pointing: {error}; `jaxpoint bias fit` writes one.") from None
 

@@ -174,7 +174,9 @@ def read_calibration_json(path: StrPath) -> SavedCalibration:
             )
         content = msgspec.convert(raw, _CalibrationFile)
     except msgspec.DecodeError as error:  # also what msgspec raises for a value that does not fit the schema
-        raise FileFormatError(f"{path}: {error}.") from None
+        raise FileFormatError(
+            f"{path} is not a whole calibration.json: {error}; copy it again, or write it anew by `jaxpoint calibrate`."
+        ) from None
     if content.unit not in ("m", "arbitrary"):
         raise FileFormatError(f"{path}: unit '{content.unit}' at `$.unit` is neither 'm' nor 'arbitrary'.")
     for i, camera in enumerate(content.cameras):

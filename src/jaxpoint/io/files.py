@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from jaxpoint.errors import FileFormatError
 
@@ -22,10 +22,12 @@ MAX_INTEGER = 10**15
 def replacing(path: StrPath) -> Iterator[BinaryIO]:
     """A binary file beside `path` that takes its name when the block ends well, and vanishes when it does not.
 
+    A link stays, and what it leads to is replaced.
+
     Raises:
         OSError: the folder is missing or not writable.
     """
-    path = Path(path)
+    path = Path(os.path.realpath(path))
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with beside.open("wb") as file:
@@ -49,6 +51,29 @@ def read_text(path: StrPath) -> str:
         raise FileFormatError(f"There is no file {path}; check the path.") from None
     except UnicodeDecodeError as error:
         raise FileFormatError(f"{path} is not UTF-8 text (byte {error.start}); save it as plain text.") from None
+
+
+def check_finite(table: dict[str, Any]) -> None:
+    """Refuse nan and inf, which TOML can hold, anywhere in it.
+
+    Raises:
+        ValueError: the key and the number.
+    """
+    for key, number in _floats(table, ""):
+        if not math.isfinite(number):
+            raise ValueError(f"{key} is {number}, which is no finite number")
+
+
+def _floats(value: object, key: str) -> Iterator[tuple[str, float]]:
+    """All floats in a value, however deep, with their keys."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield from _floats(part, f"{key}.{name}" if key else name)
+    elif isinstance(value, list):
+        for i, part in enumerate(value):
+            yield from _floats(part, f"{key}[{i}]")
+    elif isinstance(value, float):
+        yield key, value
 
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:
@@ -113,7 +138,12 @@ def read_header(path: StrPath) -> list[str]:
     Raises:
         FileFormatError: no such file, or no CSV.
     """
-    return next((cells for _, cells in _cells(path)), [])
+    return parse_header(path, read_text(path))
+
+
+def parse_header(path: StrPath, text: str) -> list[str]:
+    """As `read_header`, of the text of a file."""
+    return next((cells for _, cells in _cells(path, text)), [])
 
 
 def read_table(path: StrPath, required: Sequence[str]) -> list[Row]:
@@ -122,9 +152,14 @@ def read_table(path: StrPath, required: Sequence[str]) -> list[Row]:
     Raises:
         FileFormatError: a column is missing, a line has more or fewer values than the header, or there are no rows.
     """
+    return parse_table(path, read_text(path), required)
+
+
+def parse_table(path: StrPath, text: str, required: Sequence[str]) -> list[Row]:
+    """As `read_table`, of the text of a file."""
     header: list[str] | None = None
     rows = []
-    for line, cells in _cells(path):
+    for line, cells in _cells(path, text):
         if header is None:
             header = cells
             _check_header(path, header, required)
@@ -142,9 +177,9 @@ def read_table(path: StrPath, required: Sequence[str]) -> list[Row]:
     return rows
 
 
-def _cells(path: StrPath) -> Iterator[tuple[int, list[str]]]:
+def _cells(path: StrPath, text: str) -> Iterator[tuple[int, list[str]]]:
     """Line number and stripped values of every line that says something."""
-    reader = csv.reader(read_text(path).splitlines())
+    reader = csv.reader(text.splitlines())
     try:
         for cells in reader:
             cells = [cell.strip() for cell in cells]

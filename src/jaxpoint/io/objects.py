@@ -11,6 +11,8 @@ TOML: a `unit`, optionally `[room]` with `low` and `high`, and any number of
     [[sphere]]     name, center, radius
 
 each with `kind` and `tags` where wanted.
+
+No object is named `nothing`: that is the answer where none is meant.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ import io
 import tomllib
 from collections import Counter
 from dataclasses import dataclass
+from itertools import zip_longest
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +31,10 @@ import jax
 import msgspec
 import numpy as np
 import tomli_w
+from jaxtyping import Float
 
 from jaxpoint.errors import FileFormatError, UsageError
-from jaxpoint.io.files import Row, StrPath, read_header, read_table, read_text, replacing
+from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text, replacing
 from jaxpoint.pointing.objects import Box, Objects, Rectangle, Shape, Sphere, Thing, flat_rectangle
 from jaxpoint.pointing.room import Room
 
@@ -37,7 +42,15 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 CORNERS = tuple(f"{corner}_{axis}" for corner in ("lt", "rt", "lb", "rb") for axis in "xyz")
 MAX_RESIDUAL_M = 0.05
 MAX_ROOM_M = 100.0
+USUAL_SPAN_M = (1.0, 30.0)  # of all objects together; beyond these the unit is often wrong
+FARTHEST_M = 1e8  # from the origin, which may be that of a map
 MIN_SIDE_M = 0.001
+NOTHING = "nothing"  # as `jaxpoint.answer.answers` has it
+_WRITTEN = 1e-5  # m or rad, to which `append_object` writes
+_LAYOUT = (
+    "it must hold unit, and may hold [room] (low, high), [[rectangle]] (name, corners), [[box]] (name, center, size, "
+    "yaw_deg) and [[sphere]] (name, center, radius), all with kind and tags"
+)
 
 
 @dataclass(frozen=True)
@@ -59,51 +72,108 @@ def read_objects(path: StrPath) -> Database:
     """Read a database of objects; lengths become metres.
 
     Raises:
-        FileFormatError: no unit, a missing or wrong value, a name twice, a rectangle that is twisted or has no size, or
-            objects too far apart for a room.
+        FileFormatError: no unit, a missing or wrong value, a name twice or that cannot be one, a rectangle that is
+            twisted or has no size, or objects too far apart for a room.
     """
     path = Path(path)
-    things, room = _read_toml(path) if path.suffix == ".toml" else (_read_csv(path), None)
-    _check_names(path, things)
-    _check_room(path, things)
-    return Database(tuple(things), room, tuple(_bent(things)))
+    return _parsed(path, read_text(path))
 
 
-def append_object(path: StrPath, thing: Thing) -> None:
+def append_object(path: StrPath, thing: Thing) -> tuple[str, ...]:
     """Add one object at the end of a database, in the file's own unit; the file changes whole or not at all.
+
+    Returns:
+        The warnings that the database did not have without it.
 
     Raises:
         FileFormatError: the file cannot be read, or the object does not fit it.
-        UsageError: a CSV file cannot hold a box or a sphere.
+        UsageError: a name that cannot be one, or that a CSV file has no place for the object's shape, kind or tags.
     """
     path = Path(path)
-    old = read_text(path)
-    known = read_objects(path).things
+    _check_new_name(thing.name)
     check_shape(thing.shape, f"'{thing.name}'")
-    _check_names(path, [*known, thing])
-    _check_room(path, [*known, thing])
-    added = _toml_entry(thing, tomllib.loads(old)["unit"]) if path.suffix == ".toml" else _csv_line(path, thing)
+    old = read_text(path)
+    known = _parsed(path, old)
+    things = [*known.things, thing]
+    _check_names(path, things)
+    _check_span(path, things)
+    added = _toml_entry(thing, tomllib.loads(old)["unit"]) if _is_toml(path) else _csv_line(path, old, thing)
+    new = old + ("" if old.endswith("\n") else "\n") + added
+    found = _read_back(path, new, things)
     with replacing(path) as file:
-        file.write((old + ("" if old.endswith("\n") else "\n") + added).encode())
+        file.write(new.encode())
+    return tuple(warning for warning in found.warnings if warning not in known.warnings)
 
 
 def check_shape(shape: Shape, name: str) -> None:
     """Refuse what nobody can point at.
 
     Raises:
-        FileFormatError: a size that is not positive, or corners in another order.
+        FileFormatError: a number that is not finite, a size that is not positive, or corners in another order.
     """
+    numbers = _numbers(shape)
+    wrong = numbers[~(np.abs(numbers) < FARTHEST_M)]
+    if wrong.size:
+        raise FileFormatError(f"{name} has a coordinate or a size of {wrong[0]:g} m; correct that number.")
     if isinstance(shape, Sphere):
-        smallest = shape.radius
+        what, smallest = "radius", shape.radius
     elif isinstance(shape, Box):
-        smallest = float(np.min(shape.size))
+        what, smallest = "side", float(np.min(shape.size))
     else:
-        smallest = _smallest_side(shape, name)
+        what, smallest = "side", _smallest_side(shape, name)
+    smallest = round(smallest, 6)
     if smallest < MIN_SIDE_M:
         raise FileFormatError(
-            f"{name} has a side of {1000 * smallest:.1f} mm; an object needs at least {1000 * MIN_SIDE_M:.0f} mm, so "
-            "measure its corners again."
+            f"{name} has a {what} of {1000 * smallest:g} mm; an object needs at least {1000 * MIN_SIDE_M:.0f} mm, so "
+            "correct the unit, or measure it again."
         )
+
+
+def _parsed(path: Path, text: str) -> Database:
+    things, room = _parse_toml(path, text) if _is_toml(path) else (_parse_csv(path, text), None)
+    _check_names(path, things)
+    span = _check_span(path, things)
+    return Database(tuple(things), room, (*_bent(things), *_unusual(span)))
+
+
+def _is_toml(path: Path) -> bool:
+    return path.suffix.lower() == ".toml"
+
+
+def _read_back(path: Path, text: str, things: list[Thing]) -> Database:
+    """What a file with this text would hold, which must be these objects."""
+    remedy = (
+        "write every object as a [[rectangle]], [[box]] or [[sphere]] of its own"
+        if _is_toml(path)
+        else "mend the file's last line, or the object's kind and tags"
+    )
+    refusal = f"{path} would not be read as it should with '{things[-1].name}' at its end; {remedy}"
+    try:
+        found = _parsed(path, text)
+    except FileFormatError as error:
+        raise FileFormatError(f"{refusal}: {error}") from None
+    by_name = attrgetter("name")
+    pairs = zip_longest(sorted(found.things, key=by_name), sorted(things, key=by_name))
+    if not all(_is_same(one, other) for one, other in pairs):
+        raise FileFormatError(f"{refusal}.")
+    return found
+
+
+def _is_same(one: Thing | None, other: Thing | None) -> bool:
+    """But for the rounding of what is written."""
+    if one is None or other is None:
+        return False
+    alike = (one.name, one.kind, one.tags, type(one.shape)) == (other.name, other.kind, other.tags, type(other.shape))
+    return alike and np.allclose(_numbers(one.shape), _numbers(other.shape), rtol=0, atol=_WRITTEN)
+
+
+def _numbers(shape: Shape) -> Float[np.ndarray, " n"]:
+    """All lengths (m) and angles (rad) of a shape."""
+    if isinstance(shape, Sphere):
+        return np.array([*shape.center, shape.radius], float)
+    if isinstance(shape, Box):
+        return np.array([*shape.center, *shape.size, shape.yaw], float)
+    return np.asarray(shape.corners, float).ravel()
 
 
 def _smallest_side(shape: Rectangle, name: str) -> float:
@@ -126,18 +196,22 @@ def _smallest_side(shape: Rectangle, name: str) -> float:
                 "right-top, left-bottom, right-bottom."
             )
     _, across, down = flat_rectangle(shape.corners)[0]
-    return float(np.linalg.norm(np.cross(across, down)) / max(np.linalg.norm(across), np.linalg.norm(down)))
+    narrow = float(np.linalg.norm(np.cross(across, down)) / max(np.linalg.norm(across), np.linalg.norm(down)))
+    if narrow < MIN_SIDE_M / 1000:
+        raise FileFormatError(f"{name} has all corners on one line, so that its area is 0; measure them again.")
+    return narrow
 
 
-def _read_csv(path: Path) -> list[Thing]:
-    header = read_header(path)
+def _parse_csv(path: Path, text: str) -> list[Thing]:
+    header = parse_header(path, text)
     suffixes = [f"_{unit}" for unit in UNITS if f"{CORNERS[0]}_{unit}" in header]
     suffix = suffixes[0] if suffixes else ""
-    if not suffix and "unit" not in header:
+    if header and not suffix and "unit" not in header:
         raise FileFormatError(
             f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the corners {CORNERS[0]}_m and so on."
         )
-    rows = read_table(path, ("name", *(f"{column}{suffix}" for column in CORNERS)))
+    unit = () if suffix else ("unit",)
+    rows = parse_table(path, text, ("name", *unit, *(f"{column}{suffix}" for column in CORNERS)))
     return [_thing(row, suffix) for row in rows]
 
 
@@ -185,17 +259,20 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     sphere: tuple[_Sphere, ...] = ()
 
 
-def _read_toml(path: Path) -> tuple[list[Thing], Room | None]:
+def _parse_toml(path: Path, text: str) -> tuple[list[Thing], Room | None]:
     try:
-        raw = tomllib.loads(read_text(path))
+        raw = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileFormatError(f"{path} is not TOML: {error}.") from None
     if "unit" not in raw:
         raise FileFormatError(f'{path} says no unit; put unit = "m" (or cm, mm) into its first line.')
     try:
+        check_finite(raw)
         file = msgspec.convert(raw, _File)
-    except msgspec.ValidationError as error:
-        raise FileFormatError(f"{path} cannot be used: {error}.") from None
+    except msgspec.ValidationError as error:  # which is a ValueError too
+        raise FileFormatError(f"{path} cannot be used: {error}; {_LAYOUT}.") from None
+    except ValueError as error:
+        raise FileFormatError(f"{path} cannot be used: {error}; correct it.") from None
     if file.unit not in UNITS:
         raise FileFormatError(f"{path}: the unit is '{file.unit}'; use m, cm or mm.")
     scale = UNITS[file.unit]
@@ -228,17 +305,42 @@ def _room(path: Path, extent: _Extent, scale: float) -> Room:
     if (low >= high).any():
         axis = "xyz"[int(np.argmax(low >= high))]
         raise FileFormatError(f"{path}: the room's low {axis} is not below its high {axis}; exchange them.")
+    size = float((high - low).max())
+    if size > MAX_ROOM_M:
+        raise FileFormatError(
+            f"The room of {path} is {size:.0f} m long, and no room is larger than {MAX_ROOM_M:.0f} m; correct the "
+            "unit, or its low and high."
+        )
     with jax.enable_x64(True):
         return Room(low, high)
 
 
+def _check_new_name(name: str) -> None:
+    """Refuse what cannot be a name, and what would make a comment of a line."""
+    fault = _fault(name) or ("begins with a '#', as comments do" if name.startswith("#") else None)
+    if fault is not None:
+        raise UsageError(f"An object cannot be named '{name}': that {fault}; give it another name.")
+
+
+def _fault(name: str) -> str | None:
+    """What keeps a word from being a name."""
+    if name.strip().splitlines() != [name]:
+        return "is empty, or has a line break or spaces around it"
+    return "is the answer where no object is meant" if name.lower() == NOTHING else None
+
+
 def _check_names(path: Path, things: list[Thing]) -> None:
+    for thing in things:
+        fault = _fault(thing.name)
+        if fault is not None:
+            raise FileFormatError(f"{path} has an object named '{thing.name}': that {fault}; give it another name.")
     name, count = Counter(thing.name for thing in things).most_common(1)[0]
     if count > 1:
         raise FileFormatError(f"{path} has {count} objects named '{name}'; give each a name of its own.")
 
 
-def _check_room(path: Path, things: list[Thing]) -> None:
+def _check_span(path: Path, things: list[Thing]) -> float:
+    """How far apart the objects lie, m, which must be within a room."""
     with jax.enable_x64(True):
         low, high = Objects.of(things).bounds
     span = float((high - low).max())
@@ -247,6 +349,15 @@ def _check_room(path: Path, things: list[Thing]) -> None:
             f"The objects of {path} lie up to {span:.0f} m apart, and no room is larger than {MAX_ROOM_M:.0f} m; "
             "correct the unit, or the farthest object."
         )
+    return span
+
+
+def _unusual(span: float) -> list[str]:
+    """A warning where the objects' extent is that of no usual room."""
+    low, high = USUAL_SPAN_M
+    if low <= span <= high:
+        return []
+    return [f"All objects together span {span:.2f} m, where {low:.0f} to {high:.0f} m are usual; check the unit."]
 
 
 def _bent(things: list[Thing]) -> list[str]:
@@ -262,19 +373,22 @@ def _bent(things: list[Thing]) -> list[str]:
     return notes
 
 
-def _csv_line(path: Path, thing: Thing) -> str:
+def _csv_line(path: Path, text: str, thing: Thing) -> str:
     if not isinstance(thing.shape, Rectangle):
         raise UsageError(f"'{path}' holds rectangles only; keep boxes and spheres in a .toml.")
-    header = read_header(path)
+    header = parse_header(path, text)
+    for column, value in (("kind", thing.kind), ("tags", thing.tags)):
+        if value and column not in header:
+            raise UsageError(f"'{path}' has no column '{column}'; add it to every line first, or leave {column} out.")
     named = [unit for unit in UNITS if f"{CORNERS[0]}_{unit}" in header]
-    unit = named[0] if named else read_table(path, ("name",))[-1].text("unit")
+    unit = named[0] if named else parse_table(path, text, ("name",))[-1].text("unit")
     numbers = np.asarray(thing.shape.corners).ravel() / UNITS[unit]
     suffix = f"_{unit}" if named else ""
     values: dict[str, Any] = {f"{column}{suffix}": f"{number:.5f}" for column, number in zip(CORNERS, numbers)}
     values |= {"name": thing.name, "unit": unit, "kind": thing.kind, "tags": " ".join(thing.tags)}
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow([values.get(column, "") for column in header])
-    return text.getvalue()
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow([values.get(column, "") for column in header])
+    return line.getvalue()
 
 
 def _toml_entry(thing: Thing, unit: str) -> str:

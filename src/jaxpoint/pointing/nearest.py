@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Literal, get_args
 
 import equinox as eqx
 import jax
@@ -36,7 +36,12 @@ def nearest(rays: Ray, objects: Objects, measure: Measure = "angle", most: int =
         measure: `angle` at the origin, from the ray to the object's nearest point (rad), or `distance`, across the
             half line (m).
         most: N.
+
+    Raises:
+        ValueError: another measure.
     """
+    if measure not in get_args(Measure):
+        raise ValueError(f"There is no measure '{measure}'; choose among {', '.join(get_args(Measure))}.")
     ask = partial(_nearest_to_rays, objects.shapes, len(objects), min(most, len(objects)), measure)
     return over_lines(ask, rays)
 

@@ -36,6 +36,7 @@ from jaxpoint.pointing.objects import Objects, Shapes, middle_part
 AMBIGUOUS = 3.0
 _NEAR = 16  # faces that are looked at for one line: the nearest by angle; the others count as missed
 _DIRECTIONS = 16  # by which it is told how much of an object is hidden
+_ROUNDING = 1e-6  # of the largest variance: how far below 0 one may lie that should be 0
 _TOUCH = 1e-9  # relative distance within which two faces hide nothing of each other
 
 
@@ -64,7 +65,10 @@ class Behaviour(eqx.Module):
 
 
 class Posterior(eqx.Module):
-    """Of each line: probabilities that sum to 1 over the objects and `nothing`."""
+    """Of each line: probabilities that sum to 1 over the objects and `nothing`.
+
+    Of what is no line all numbers are NaN, that of `nothing` too, and it is `ambiguous`; see `posterior`.
+    """
 
     probability: Float[Array, "*batch K"]
     nothing: Float[Array, "*batch"]
@@ -87,6 +91,9 @@ def posterior(
     evidence: Float[AnyArray, "*#batch K"] | None = None,
 ) -> Posterior:
     """Probability of each object and of nothing, given where lines point.
+
+    Nothing is raised for what is no line: a number that is not finite, a direction of no length, a negative variance.
+    Its result is NaN throughout, and so it is where prior or evidence are NaN.
 
     Args:
         lines: any leading axes; unit directions, corrected for bias.
@@ -193,7 +200,19 @@ def _of_line(
     first = jnp.max(chance)
     ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
     visible = jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0)
-    return Posterior(chance, rest, mass, visible, total, ambiguous)
+    sound = _is_line(line) & ~jnp.isnan(total)
+    chance, rest, mass, visible, total = (
+        jnp.where(sound, found, jnp.nan) for found in (chance, rest, mass, visible, total)
+    )
+    return Posterior(chance, rest, mass, visible, total, ~sound | ambiguous)
+
+
+def _is_line(line: PointingLine) -> Bool[Array, ""]:
+    """Whether all its numbers are finite, it has a direction, and no variance is negative beyond rounding."""
+    variance = jnp.diagonal(line.covariance)
+    least = -_ROUNDING * jnp.max(jnp.abs(variance))
+    finite = jax.tree.reduce(jnp.logical_and, jax.tree.map(lambda leaf: jnp.all(jnp.isfinite(leaf)), line))
+    return finite & jnp.any(line.ray.direction != 0) & jnp.all(variance >= least)
 
 
 def _visible(line: PointingLine, shapes: Shapes, planes: Planes, behaviour: Behaviour) -> Float[Array, " parts"]:
