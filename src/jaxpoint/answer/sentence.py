@@ -49,7 +49,10 @@ def speak(text: str) -> None:
         MissingDependencyError: the program is not installed, or fails.
     """
     check_speaker()
-    done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
+    try:
+        done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
+    except OSError as error:
+        raise MissingDependencyError(f"{SPEAKER} failed ({error.strerror}); go without --speak.") from None
     if done.returncode:
         why = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
         raise MissingDependencyError(f"{SPEAKER} failed ({why}); go without --speak.")
