@@ -3,6 +3,7 @@
 import csv
 import json
 from dataclasses import fields
+from typing import Any, cast
 
 import cv2
 import jax
@@ -207,7 +208,7 @@ def test_too_little_to_score_is_refused_in_a_sentence(tmp_path, extent, message)
 
 
 def row(section: str, value: float) -> Row:
-    told = dict.fromkeys((field.name for field in fields(Row)), 1.0)
+    told: dict[str, Any] = dict.fromkeys((field.name for field in fields(Row)), 1.0)
     return Row(**told | {"section": section, "line": "forearm", "method": "planes", "people": "approximate",
                          "views": "all", "correction": "constant", "varied": "noise", "value": value})  # fmt: skip
 
@@ -231,6 +232,6 @@ def test_rows_say_what_they_were_made_with(tmp_path):
 def test_as_many_pointings_are_claimed_as_drawn(monkeypatch, count):
     errors = np.arange(30.0), np.arange(1.0, count + 1)
     monkeypatch.setattr("pointing_pictures.absolute", lambda *_: errors)
-    axes = draw_lines(None).axes[0]
+    axes = draw_lines(cast(Any, None)).axes[0]
     assert axes.get_title() == f"Azimuth error, {count} pointings"
     assert len(axes.get_xticks()) == count

@@ -17,7 +17,7 @@ THINGS = (
     Thing("newspaper", Box(np.array([2.0, -0.2, 0.0]), 0.3 * np.ones(3)), "paper"),
     Thing("lamp", Sphere(np.array([0.0, 2.0, 0.0]), 0.2)),
 )
-CENTRES = np.array([thing.shape.center for thing in THINGS])
+CENTRES = np.array([[2.0, 0.3, 0.0], [2.0, -0.2, 0.0], [0.0, 2.0, 0.0]])
 ORIGIN = np.zeros(3)
 MET = Place("newspaper", 1.8, np.array([1.8, -0.1, 0.0]))
 WALL = Place("the floor", 3.0, np.array([3.0, 0.0, 0.0]))

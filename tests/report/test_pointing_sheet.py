@@ -61,7 +61,7 @@ def test_the_file_tells_the_answer(tmp_path):
     short, long = "Gesture 1. The door.", "Gesture 2. " + 12 * "The door, perhaps; or the window. "
     for name, text in (("short", short), ("long", long)):
         save_sheet(tmp_path / f"{name}.jpg", sheet, text)
-    one, many = (cv2.imread(str(tmp_path / f"{name}.jpg")) for name in ("short", "long"))
+    one, many = (np.asarray(cv2.imread(str(tmp_path / f"{name}.jpg"))) for name in ("short", "long"))
     assert one.shape[1] == many.shape[1] == sheet.shape[1]
     assert sheet.shape[0] < one.shape[0] < many.shape[0]
     assert (one[: one.shape[0] - sheet.shape[0]] < 100).any()
