@@ -74,7 +74,12 @@ class PointingAblation(Extent):
 
 
 def main(options: PointingAblation) -> list[Row]:
-    """Score all conditions, write everything."""
+    """Score all conditions, write everything: the table first, which costs most.
+
+    Raises:
+        SystemExit: too little is asked for to fit some people and score others.
+    """
+    check(options)
     crowds = Crowds(options)
     rows = [row for one in track(list(asked(crowds)), "conditions") for row in score(crowds, one)]
     constants = tens(crowds)
@@ -85,14 +90,28 @@ def main(options: PointingAblation) -> list[Row]:
         write_json(folder / MARK, made)
         write_rows(folder / "table.csv", rows, options)
         (folder / "table.md").write_text(markdown(rows, constants, rates, options), encoding="utf-8")
-        with style():
-            figures = [(Markup(to_svg(figure)), caption) for figure, caption in drawn(crowds, rows)]
-        write_page(folder / "report.html", page(rows, constants, rates, figures, made))
+    with style():
+        figures = [(Markup(to_svg(figure)), caption) for figure, caption in drawn(crowds, rows)]
+    write_page(options.out / "report.html", page(rows, constants, rates, figures, made))
     return rows
+
+
+def check(options: PointingAblation) -> None:
+    """Refuse an extent in which there is nothing to score.
+
+    Raises:
+        SystemExit: a number below its least, or one person alone.
+    """
+    for name in ("rooms", "people", "gestures", "objects", "draws"):
+        if getattr(options, name) < 1:
+            raise SystemExit(f"--{name} is {getattr(options, name)}; it must be 1 at least.")
+    if options.rooms * options.people < 2:
+        raise SystemExit("1 person in all cannot be fitted and scored too; ask for more --people or --rooms.")
 
 
 def measure_speed(options: PointingAblation) -> None:
     """Print pointings a second of single conditions, compiled: by the clock and by the processors' own time."""
+    check(options)
     rooms = Crowds(options).of("approximate")
     wanted = {
         "forearm planes, 2 views": Condition("forearm", "planes", 2),
@@ -156,7 +175,8 @@ def _rate(views: list[dict], name: str) -> Rate:
 def write_rows(path: Path, rows: list[Row], options: PointingAblation) -> None:
     """Every row with what it was made with."""
     columns: dict[str, list] = {field.name: [getattr(row, field.name) for row in rows] for field in fields(Row)}
-    same = {name: getattr(options, name) for name in ("rooms", "objects", "draws", "seed")} | {"commit": commit()}
+    asked_for = {"people_a_room": options.people, "gestures_a_person": options.gestures, "commit": commit()}
+    same = {name: getattr(options, name) for name in ("rooms", "objects", "draws", "seed")} | asked_for
     write_table(path, columns | {name: [value] * len(rows) for name, value in same.items()})
 
 

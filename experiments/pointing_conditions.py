@@ -128,9 +128,20 @@ class Crowds:
         return self.drawn[people]
 
     def halves(self, people: str) -> tuple[list[Gestures], list[Gestures]]:
-        """Those that are fitted, and those that are scored."""
+        """Those that are fitted, and those that are scored.
+
+        Raises:
+            SystemExit: nobody is left on one side, since only what three cameras see counts.
+        """
         rooms = self.of(people)
-        return [own.select(own.person % 2 == 0) for own in rooms], [own.select(own.person % 2 == 1) for own in rooms]
+        fitted, scored = ([own.select(own.person % 2 == half) for own in rooms] for half in (0, 1))
+        counts = [sum(map(len, half)) for half in (fitted, scored)]
+        if not all(counts):
+            raise SystemExit(
+                f"Three cameras see {counts[0]} gestures to be fitted and {counts[1]} to be scored ('{people}'); ask "
+                "for more --gestures, --people or --rooms."
+            )
+        return fitted, scored
 
 
 def perfect_forearm() -> PointingSettings:

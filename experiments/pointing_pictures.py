@@ -19,8 +19,8 @@ def drawn(crowds: Crowds, rows: list[Row]) -> list[tuple[Figure, str]]:
     """Figures 53 and 54 of the thesis in kind, and the sweeps."""
     return [
         (draw_lines(crowds), "The thesis's figure 53 in kind: errors of finger and forearm, two views, drawn as the "
-         "thesis has them. Left ten pointings of one person who points approximately, right all people: the middle, "
-         "half and 95 % of the pointings, and the thesis's mean and standard deviation as a black bar."),
+         f"thesis has them. Left pointings of one person who points approximately, {TEN} at most; right all people: "
+         "the middle, half and 95 % of the pointings, and the thesis's mean and standard deviation as a black bar."),
         (draw_views(crowds), "The thesis's figure 54 in kind: azimuth errors of the forearm from two and from three "
          "images; the same pointings. People with a perfect forearm show what the images alone do."),
         (draw_sweeps(rows), "Median great-circle error, with intervals over people. Above, people with a perfect "
@@ -36,7 +36,7 @@ SHOWN = {
 
 
 def absolute(crowds: Crowds, people: str, name: str, angle: str) -> tuple[np.ndarray, np.ndarray]:
-    """Absolute errors (degrees) of all pointings, and of ten of one person at ten targets."""
+    """Absolute errors (degrees) of all pointings, and of ten of one person, or fewer, each at a target of its own."""
     condition, outline = SHOWN[name]
     rooms = crowds.of(people)
     sample = point(rooms, replace(condition, noise=Noise.of(outline=outline)), 16, seed=crowds.options.seed)
@@ -54,7 +54,7 @@ def draw_lines(crowds: Crowds) -> Figure:
         found = {name: absolute(crowds, "approximate", name, angle) for name in thesis}
         told = {name: (values[k], values[k + 2]) for name, values in thesis.items()}
         _draw_pair(axes[2 * k], axes[2 * k + 1], found, told)
-        axes[2 * k].set_title(f"{angle.capitalize()} error, ten pointings")
+        axes[2 * k].set_title(f"{angle.capitalize()} error, {len(found['finger'][1])} pointings")
     return figure
 
 
@@ -73,7 +73,7 @@ LABELS = {"finger": "finger", "forearm": "forearm", "forearm, 3": "3 views"}
 
 
 def _draw_pair(left: Axes, right: Axes, found: dict, told: dict[str, tuple[float, float]]) -> None:
-    """Ten pointings as lines, all as boxes, the thesis as bars."""
+    """Some pointings as lines, all as boxes, the thesis as bars."""
     names = list(found)
     labels = [LABELS[name] if name != "forearm" or "finger" in found else "2 views" for name in names]
     for k, (name, colour) in enumerate(zip(names, camera_colors(2))):
@@ -86,7 +86,8 @@ def _draw_pair(left: Axes, right: Axes, found: dict, told: dict[str, tuple[float
         mean, sd = told[name]
         right.errorbar(k + 0.3, mean, sd, fmt="_", color=INK, capsize=3, linewidth=1.2)
     top = 1.25 * max(ten.max() for _, ten in found.values())
-    left.set(xlabel="pointing", ylabel="absolute error, degrees", xticks=range(1, TEN + 1), ylim=(0, top))
+    most = max(len(ten) for _, ten in found.values())
+    left.set(xlabel="pointing", ylabel="absolute error, degrees", xticks=range(1, most + 1), ylim=(0, top))
     left.legend(loc="upper left", ncols=2)
     right.set(xlim=(-0.5, 1.7), ylim=(0, None), title="All; thesis")
     right.set_xticks([0, 1], labels)
@@ -107,6 +108,10 @@ def draw_sweeps(rows: list[Row]) -> Figure:
         if section == "lines":
             _draw_bars(axes, rows)
             continue
+        if not own:
+            axes.set(title=section.capitalize(), xticks=[], yticks=[])
+            axes.text(0.5, 0.5, "too few pointings", ha="center", transform=axes.transAxes)
+            continue
         series: dict[str, list[Row]] = defaultdict(list)
         for row in own:
             series[_label(row, section)].append(row)
@@ -123,7 +128,7 @@ def draw_sweeps(rows: list[Row]) -> Figure:
         else:
             axes.set_ylim(0, (1.9 if len(series) > 2 else 1.35) * max(row.angle_high for row in own))
         axes.tick_params(labelsize=7.5)
-        axes.set(title=section.capitalize(), xlabel=own[0].varied if own else "")
+        axes.set(title=section.capitalize(), xlabel=own[0].varied)
         axes.legend(fontsize=7)
     for axes in figure.axes[::4]:
         axes.set_ylabel("median error, degrees")

@@ -6,16 +6,18 @@ import shutil
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from jaxpoint.cli import main
+from jaxpoint.errors import MissingDependencyError
 from jaxpoint.person import following
 
 MOMENTS = range(28, 45)  # the second gesture, at the window, with what is before and after
 CAMERAS = ("cam_0", "cam_1", "cam_2", "cam_5")
-KEPT = ("calibration.json", "camera_centres.csv", "objects.csv")
+KEPT = ("calibration.json", "camera_centres.csv", "objects.csv", "session.toml")
 
 
 def run(*arguments, capsys):
@@ -80,6 +82,10 @@ def test_a_gesture_is_answered_from_pixels(folder, options, tmp_path, capsys):
         (row,) = csv.DictReader(file)
     assert (row["answer"], row["nearest_1"]) == ("window", "window")
     assert json.loads((tmp_path / "answers" / "gestures.json").read_text()) == [answer]
+    assert len(answer["point_m"]) == 3
+    guessed, calibration = json.loads((tmp_path / "answers" / "metrics.json").read_text())["notes"][-2:]
+    assert "--room.low" in guessed
+    assert "its part of the lines' errors" in calibration
     page = (tmp_path / "answers" / "report.html").read_text()
     assert "the window" in page.lower()
     assert (tmp_path / "answers" / "pictures" / "gesture_1.jpg").stat().st_size > 10_000
@@ -88,10 +94,14 @@ def test_a_gesture_is_answered_from_pixels(folder, options, tmp_path, capsys):
 def test_words_are_paired_and_times_are_taken(folder, options, tmp_path, capsys):
     (tmp_path / "words.csv").write_text("word,start_s,end_s\nthat,5.3,5.5\nlamp,5.6,5.9\n")
     (tmp_path / "times.csv").write_text("start_s,end_s\n5.4,6.2\n")
-    given = ("--words", tmp_path / "words.csv", "--times", tmp_path / "times.csv")
+    room = ("--config", folder / "session.toml")
+    given = ("--words", tmp_path / "words.csv", "--times", tmp_path / "times.csv", *room)
     code, out, err = run("point", folder, *options, *given, "--out", tmp_path / "answers", "--json", capsys=capsys)
     assert code == 0, err
-    (answer,) = json.loads(out)["gestures"]
+    told = json.loads(out)
+    (answer,) = told["gestures"]
+    assert told["notes"][0].startswith("Each of the cameras 'cam_0', 'cam_1', 'cam_2' and 'cam_5': 11 pairs of quiet")
+    assert not any("guessed" in note for note in told["notes"])
     assert answer["words"] == ["that", "lamp"]
     assert answer["start_s"] >= 5.4 - 1e-9
     assert answer["end_s"] <= 6.2 + 1e-9
@@ -130,6 +140,8 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "is outside of the room"),
         ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured"),
         ((folder, "--line", "blend"), 2, "The weights of a blend"),
+        ((folder, "--room.low", 0, 0, 0), 2, "low and high corner both"),
+        ((folder, "--room.low", 0, 0, 0, "--room.high", 6, 5, "nan"), 2, "from 0 to nan m in z"),
         ((folder, "--objects", tmp_path / "none.csv"), 7, "There is no file"),
     ]
     before = sorted(tmp_path.rglob("*"))
@@ -161,6 +173,63 @@ def test_answers_are_spoken(monkeypatch):
     assert said == [["espeak-ng", "the window, 1.1 m away"]]
 
 
+@pytest.fixture
+def answered(monkeypatch):
+    """A command that knows its two answers at once; its folder of results is what `write_answers` is told to make."""
+    answers = [
+        SimpleNamespace(number=i, time_s=2.0 * i, person=1, probability=0.9, name=name, text=f"the {name}, 1.0 m away")
+        for i, name in enumerate(("window", "door"), start=1)
+    ]
+    pointed = SimpleNamespace(answers=answers, notes=("A note.",))
+    monkeypatch.setattr("jaxpoint.commands.point.Point.answered", lambda *_: (None, None, pointed))
+    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", lambda *_: {"gestures": 2})
+    monkeypatch.setattr("jaxpoint.answer.sentence.sentence", lambda answer: answer.text)
+    monkeypatch.setattr("jaxpoint.answer.sentence.as_json", lambda answer: {"answer": answer.name})
+
+
+@pytest.mark.parametrize(("flags", "first"), [(["--follow"], '{"answer": "window"}'), ([], "  1     2.0 s  person 1")])
+def test_answers_are_told_before_anything_is_written(answered, folder, tmp_path, capsys, monkeypatch, flags, first):
+    told = []
+
+    def full(*_):
+        told.extend(capsys.readouterr().out.splitlines())
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", full)
+    code, out, err = run("point", folder, *flags, "--out", tmp_path / "out", capsys=capsys)
+    assert (code, out) == (3, "")
+    assert "No space left" in err
+    assert told[0].startswith(first)
+    assert len(told) == 2 + (not flags)
+
+
+def test_a_voice_that_does_not_start_says_why(monkeypatch):
+    from jaxpoint.answer.sentence import speak
+
+    def broken(*_, **__):
+        raise OSError(8, "Exec format error")
+
+    monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr("subprocess.run", broken)
+    with pytest.raises(MissingDependencyError, match=r"espeak-ng failed \(Exec format error\)"):
+        speak("the window")
+
+
+@pytest.mark.parametrize("flags", [[], ["--follow"], ["--json"]])
+def test_a_voice_that_fails_loses_no_answer(answered, folder, tmp_path, capsys, monkeypatch, flags):
+    said = []
+    failed = SimpleNamespace(returncode=3, stderr="broken\naudio\n")
+    monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
+    monkeypatch.setattr("subprocess.run", lambda command, **_: said.append(command) or failed)
+    code, out, err = run("point", folder, "--speak", *flags, "--out", tmp_path / "out", capsys=capsys)
+    assert code == 3
+    assert err == (
+        f"jaxpoint: espeak-ng failed (broken audio); go without --speak: the answers lie in '{tmp_path / 'out'}'.\n"
+    )
+    assert len(said) == 1
+    assert len(out.splitlines()) == {"--follow": 2, "--json": 1}.get("".join(flags), 5)
+
+
 def test_the_demo_goes_from_the_waved_light_to_the_named_object(folder, options, tmp_path, capsys, monkeypatch):
     @contextmanager
     def session():
@@ -174,6 +243,7 @@ def test_the_demo_goes_from_the_waved_light_to_the_named_object(folder, options,
     assert (figures["right"], figures["all"], figures["truth"]) == (1, 1, ["window"])
     assert figures["camera_mm"] < 20
     assert figures["gestures"][0]["calibration_sigma_deg"] < 0.5
+    assert not any("guessed" in note for note in figures["notes"])
     assert "The answer is right." in (tmp_path / "run" / "report.html").read_text()
     kept = json.loads((tmp_path / "run" / "calibration" / "calibration.json").read_text())
     assert kept["unit"] == "m"

@@ -1,6 +1,9 @@
 """The batched Monte Carlo of pointing: one pointing by OpenCV and scipy, exactness, predicted errors, its tables."""
 
+import csv
 import json
+from dataclasses import fields
+from typing import Any, cast
 
 import cv2
 import jax
@@ -10,9 +13,10 @@ from scipy.optimize import least_squares
 
 import pointing_ablation as ablation
 from jaxpoint.pointing.bias.models import Constant
-from pointing_conditions import mean_of, median_of
+from pointing_conditions import Row, mean_of, median_of
 from pointing_monte_carlo import Condition, Noise, _normal, disturbed, jobs_of, line_ends, point
 from pointing_people import Setting, gestures_of, law
+from pointing_pictures import SWEEPS, draw_lines, draw_sweeps
 
 PLANES, JOINED = Condition("forearm", "planes", 2), Condition("forearm", "endpoints", 2)
 
@@ -186,3 +190,48 @@ def test_detection_rates_ask_for_two_right_views(tmp_path):
     assert rates["thesis_finger"] == ablation.Rate(100.0, 3, 100.0, 1)
     with pytest.raises(SystemExit, match="0 files"):
         ablation.detection_rates(tmp_path / "elsewhere")
+
+
+@pytest.mark.parametrize(
+    ("extent", "message"),
+    [
+        ({"rooms": 0}, "--rooms is 0; it must be 1 at least"),
+        ({"objects": 0}, "--objects is 0"),
+        ({"draws": -1}, "--draws is -1"),
+        ({"people": 1, "rooms": 1}, "1 person in all cannot be fitted and scored too"),
+    ],
+)
+def test_too_little_to_score_is_refused_in_a_sentence(tmp_path, extent, message):
+    with pytest.raises(SystemExit, match=message):
+        ablation.main(ablation.PointingAblation(out=tmp_path / "out", **extent))
+    assert not list(tmp_path.iterdir())
+
+
+def row(section: str, value: float) -> Row:
+    told: dict[str, Any] = dict.fromkeys((field.name for field in fields(Row)), 1.0)
+    return Row(**told | {"section": section, "line": "forearm", "method": "planes", "people": "approximate",
+                         "views": "all", "correction": "constant", "varied": "noise", "value": value})  # fmt: skip
+
+
+def test_a_sweep_without_pointings_is_drawn_as_such():
+    rows = [row(section, value) for section, _ in SWEEPS if section != "distance" for value in (1.0, 2.0)]
+    figure = draw_sweeps(rows)
+    empty = [axes.get_title() for axes in figure.axes if any("too few" in text.get_text() for text in axes.texts)]
+    assert empty == ["Distance"]
+
+
+def test_rows_say_what_they_were_made_with(tmp_path):
+    options = ablation.PointingAblation(rooms=2, people=4, gestures=3)
+    ablation.write_rows(tmp_path / "table.csv", [row("views", 2.0)], options)
+    with (tmp_path / "table.csv").open() as file:
+        (told,) = csv.DictReader(file)
+    assert (told["rooms"], told["people_a_room"], told["gestures_a_person"]) == ("2", "4", "3")
+
+
+@pytest.mark.parametrize("count", [3, 10])
+def test_as_many_pointings_are_claimed_as_drawn(monkeypatch, count):
+    errors = np.arange(30.0), np.arange(1.0, count + 1)
+    monkeypatch.setattr("pointing_pictures.absolute", lambda *_: errors)
+    axes = draw_lines(cast(Any, None)).axes[0]
+    assert axes.get_title() == f"Azimuth error, {count} pointings"
+    assert len(axes.get_xticks()) == count

@@ -14,7 +14,7 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import MOST, intersect
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
 from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
-from jaxpoint.pointing.room import SURFACES, Room, end_in_room
+from jaxpoint.pointing.room import MARGIN_M, SURFACES, Room, end_in_room
 
 COUNT = 64
 
@@ -195,8 +195,19 @@ def test_pointing_at_nothing_ends_on_a_wall():
         assert int(np.argmin(np.abs(off))) == int(ends.surface[g])
     assert SURFACES[int(end_in_room(Ray([1.0, 1, 1], [0, 0, -1.0]), Room(low, high)).surface)] == "the floor"
     assert not bool(end_in_room(Ray([7.0, 1, 1], [0, 0, -1.0]), Room(low, high)).inside)
-    around = Room.around(room(11), margin_m=0.5)
-    assert (np.asarray(around.high) > np.asarray(around.low) + 1).all()
+
+
+def test_a_guessed_room_is_hardly_larger_than_what_is_known_of_it():
+    things = [
+        Thing("clock", Sphere(np.array([2.0, 1.0, 2.0]), 0.2)),
+        Thing("mat", Sphere(np.array([1.0, 3, 0.5]), 0.1)),
+    ]
+    guess = Room.around(Objects.of(things))
+    np.testing.assert_allclose(guess.low, [0.9 - MARGIN_M, 0.8 - MARGIN_M, 0.0], atol=1e-6)
+    np.testing.assert_allclose(guess.high, [2.2 + MARGIN_M, 3.1 + MARGIN_M, 2.2 + MARGIN_M], atol=1e-6)
+    grown = Room.around(Objects.of(things), np.array([[-1.0, 2.0, 2.6], [1.0, 2.0, -0.1]]))
+    np.testing.assert_allclose(grown.low, [-1.0 - MARGIN_M, 0.8 - MARGIN_M, -0.1], atol=1e-6)
+    np.testing.assert_allclose(grown.high, [2.2 + MARGIN_M, 3.1 + MARGIN_M, 2.6 + MARGIN_M], atol=1e-6)
 
 
 def test_an_empty_database():

@@ -17,6 +17,7 @@ from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.report.html import write_detection_section, write_report, write_tracks_report
 from jaxpoint.report.style import short_names, to_svg
+from jaxpoint.report.tables import origin_table
 from jaxpoint.tracks import Tracks
 
 VOID = {"meta", "img", "br"}
@@ -170,6 +171,11 @@ def test_short_names_stay_different():
     long = ("the door in the north wall", "window to the south garden")
     assert len(set(short_names(long))) == 2
     assert max(map(len, short_names(long))) <= 14
+
+
+def test_files_keep_their_names_where_a_run_tells_what_it_was_made_from():
+    made = {"time_of": "now", "inputs": {"a/camera_centres.csv": "1f", "b_c.toml": "2e"}}
+    assert origin_table(made, {}, None).rows == [["time of", "now"], ["inputs", "a/camera_centres.csv 1f, b_c.toml 2e"]]
 
 
 def test_numbers_in_a_figure_are_not_cut():

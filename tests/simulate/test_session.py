@@ -10,6 +10,7 @@ import pytest
 from jaxpoint.cli import main
 from jaxpoint.config import load_config
 from jaxpoint.config.people import PeopleSettings
+from jaxpoint.config.point import RoomExtent
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings, ViewpointSettings
 from jaxpoint.errors import UsageError
 from jaxpoint.io.calibration import read_calibration
@@ -114,6 +115,7 @@ def test_the_folder_is_read_as_any_session(folder, session):
     assert (folder / "preview.jpg").stat().st_size > 10_000
     assert "--seed 11" in (folder / "session.toml").read_text()
     assert load_config(folder / "session.toml").simulate == SETTINGS
+    assert load_config(folder / "session.toml").point.room == RoomExtent((0.0, 0.0, 0.0), tuple(session.scene.size))
 
 
 def test_the_written_truth_is_that_of_the_session(folder, session):

@@ -27,6 +27,7 @@ from jaxpoint.pointing.nearest import Nearest, nearest
 from jaxpoint.pointing.objects import Objects, Shapes
 from jaxpoint.pointing.posterior import AMBIGUOUS, Behaviour, posterior
 from jaxpoint.pointing.room import SURFACES, Room, RoomPoint, end_in_room
+from jaxpoint.pointing.words import words_evidence
 
 NOTHING = "nothing"
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
@@ -70,7 +71,10 @@ class Answer:
     probabilities: tuple[tuple[str, float], ...]  # likeliest first, nothing among them
     ambiguous: bool
     name: str  # the answer: an object, or "nothing"
-    distance_m: float  # from the fingertip to it; to the surface where nothing is meant
+    distance_m: float  # from the fingertip to `point`; 0 without one
+    # m: where the line meets the answer; the object's middle where it passes it by; the place on the room's surface
+    # where nothing is meant, None from outside of the room.
+    point: Float[np.ndarray, "3"] | None
     reasons: tuple[str, ...]  # a sentence each: what to know of this answer
     words: tuple[str, ...] = ()
 
@@ -142,10 +146,15 @@ def answers(
     measured = _measured(shown, scene)
     said = list(words) or [()] * len(holds)
     given = _Given(held, scene, people, frames, known_errors)
-    return [
+    told = [
         _answer(i, hold, given, ways[way_of[i]], jax.tree.map(itemgetter(i), measured), chance[i], said[i])
         for i, hold in enumerate(holds)
     ]
+    if evidence is None:
+        return told
+    unsaid = _without_words(each, evidence, weight).argmax(axis=1)
+    names = (*scene.objects.names, NOTHING)
+    return [_by_words(answer, names[k], scene.objects) for answer, k in zip(told, unsaid)]
 
 
 def _by_way(
@@ -184,6 +193,14 @@ def _asked(
     return np.concatenate([found.probability, np.asarray(found.nothing)[..., None]], axis=-1), np.asarray(
         found.marginal
     )
+
+
+def _without_words(
+    each: Float[np.ndarray, "W G answers"], evidence: Float[np.ndarray, "G K"], weight: Float[np.ndarray, "W G 1"]
+) -> Float[np.ndarray, "G answers"]:
+    """Probabilities as they were without what was said: the factor of each object taken off."""
+    plain = each / np.append(evidence, np.ones((len(evidence), 1)), axis=1)
+    return (weight * plain / plain.sum(axis=2, keepdims=True)).sum(axis=0)
 
 
 def _own_offsets(
@@ -262,6 +279,7 @@ def _answer(
     surface = Place(SURFACES[int(end.surface)], float(end.distance), np.asarray(end.point)) if end.inside else None
     origin, name = np.asarray(way.lines.ray.origin)[i], names[order[0]]
     told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
+    meant = _meant(name, hits, surface, origin, scene)
     return Answer(
         number=i + 1,
         person=int(given.people[hold.person]),
@@ -284,20 +302,24 @@ def _answer(
         probabilities=told,
         ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),
         name=name,
-        distance_m=_distance(name, hits, surface, origin, scene),
+        distance_m=0.0 if meant is None else meant.distance_m,
+        point=None if meant is None else meant.point,
         reasons=(*_reasons(hold, way, name, hits, surface), *_learnt(way, i)),
         words=tuple(words),
     )
 
 
-def _distance(name: str, hits: Sequence[Place], surface: Place | None, origin: np.ndarray, scene: Scene) -> float:
-    """To where the line meets the answer; to the object's middle where it passes it by."""
+def _meant(
+    name: str, hits: Sequence[Place], surface: Place | None, origin: Float[np.ndarray, "3"], scene: Scene
+) -> Place | None:
+    """Where the line meets the answer; the object's middle where it passes it by."""
     if name == NOTHING:
-        return 0.0 if surface is None else surface.distance_m
+        return surface
     for place in hits:
         if place.name == name:
-            return place.distance_m
-    return float(np.linalg.norm(scene.centres[scene.objects.names.index(name)] - origin))
+            return place
+    middle = scene.centres[scene.objects.names.index(name)]
+    return Place(name, float(np.linalg.norm(middle - origin)), middle)
 
 
 def _sigma_deg(covariance: np.ndarray) -> float:
@@ -320,6 +342,21 @@ def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surf
     if way.kind == "eye-fingertip":
         reasons.append("The finger lies on the line of sight: the line goes from the eye over the fingertip.")
     return tuple(reasons)
+
+
+def _by_words(answer: Answer, unsaid: str, objects: Objects) -> Answer:
+    """The answer with a reason where words make it likeliest, and another would be without them."""
+    if answer.name == unsaid:
+        return answer
+    against = answer.name == NOTHING
+    place = objects.names.index(unsaid if against else answer.name)
+    factors = [(word, words_evidence(objects, [word])) for word in answer.words]
+    own = [word for word, factor in factors if factor.min() < 1 and (factor[place] < 1) == against]
+    if not own:  # moved by what was said with other gestures of the person
+        return answer
+    said = f"The word{'s' if own[1:] else ''} '{' '.join(own)}' speak{'' if own[1:] else 's'}"
+    reason = f"{said} against the {unsaid}." if against else f"{said} for the {answer.name}."
+    return replace(answer, reasons=(*answer.reasons, reason))
 
 
 def _learnt(way: Hypothesis, i: int) -> tuple[str, ...]:

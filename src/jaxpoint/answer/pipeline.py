@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import jax
@@ -13,11 +13,13 @@ from jaxtyping import Float
 from jaxpoint.answer.answers import Answer, Scene, answers
 from jaxpoint.answer.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
 from jaxpoint.answer.hypotheses import Correction, hypotheses
-from jaxpoint.answer.lines import held_joints
+from jaxpoint.answer.lines import HeldJoints, held_joints
+from jaxpoint.answer.notes import merged_notes
 from jaxpoint.answer.words import Interval, Word, evidence_of, pair_words
-from jaxpoint.config.point import PointSettings
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config.point import PointSettings, RoomExtent
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.objects import Database, read_objects
+from jaxpoint.io.objects import MAX_ROOM_M, Database, read_objects
 from jaxpoint.io.session import Session
 from jaxpoint.person.following import Following
 from jaxpoint.pointing.objects import Objects, face_corners
@@ -51,17 +53,41 @@ def check_session(session: Session) -> None:
         raise UsageError(f"'{session.folder}' has no calibration.json; give the room's by --calibration.")
 
 
-def scene_of(path: Path) -> tuple[Scene, Database]:
-    """What can be pointed at, from a file; the room is guessed from the objects where the file does not give it.
+def scene_of(path: Path, room: Room | None = None) -> tuple[Scene, Database]:
+    """What can be pointed at, from a file.
+
+    The room is the one that is given here, else that of the file, else a guess: around the objects, until `pointed`
+    knows who else is in it.
 
     Raises:
         FileFormatError: as `read_objects`.
     """
     database = read_objects(path)
+    room = database.room if room is None else room
     with jax.enable_x64(True):
         objects = database.objects
-        room = Room.around(objects) if database.room is None else database.room
-        return Scene(objects, _centres(objects), room, database.room is not None), database
+        shown = Room.around(objects) if room is None else room
+        return Scene(objects, _centres(objects), shown, room is not None), database
+
+
+def room_of(extent: RoomExtent) -> Room | None:
+    """The room that the settings give, if they do.
+
+    Raises:
+        UsageError: one corner without the other, or a box that is no room.
+    """
+    if extent.low is None and extent.high is None:
+        return None
+    if extent.low is None or extent.high is None:
+        raise UsageError("Give the room's low and high corner both, three numbers each in metres, or neither.")
+    for axis, low, high in zip("xyz", extent.low, extent.high):
+        if not 0 < high - low <= MAX_ROOM_M:  # nor is it where one is not a number
+            raise UsageError(
+                f"The settings room.low and room.high go from {low:g} to {high:g} m in {axis}; high must be above low, "
+                f"by {MAX_ROOM_M:.0f} m at most."
+            )
+    with jax.enable_x64(True):
+        return Room(list(extent.low), list(extent.high))
 
 
 def pointed(
@@ -74,6 +100,7 @@ def pointed(
     words: Sequence[Word] = (),
     camera_covariance: Float[np.ndarray, "D D"] | None = None,
     correction: Correction | None = None,
+    watched: Sequence[str] = (),
 ) -> Pointed:
     """Find the gestures and answer them.
 
@@ -86,6 +113,7 @@ def pointed(
         words: what was said; a word such as "this" is paired with a gesture, names and tags are evidence.
         camera_covariance: of the cameras' 15 C numbers, where the calibration says it.
         correction: a bias to take off.
+        watched: what is to be known of the views, a sentence each.
 
     Raises:
         InsufficientDataError: there is no gesture, or everybody stands outside of the room.
@@ -99,6 +127,7 @@ def pointed(
     with jax.enable_x64(True):
         held = held_joints(session.rig, following, holds, camera_covariance)
         ways = hypotheses(held, settings.line, settings.blend, correction)
+        scene = scene if scene.room_known else replace(scene, room=_guessed_room(scene, session.rig, held))
         found = answers(
             holds,
             held,
@@ -112,7 +141,7 @@ def pointed(
         )
     if all(answer.surface is None for answer in found):
         raise _outside(found, scene)
-    notes = _notes(scene, camera_covariance is not None)
+    notes = (*merged_notes([*session.notes, *watched]), *_notes(scene, camera_covariance is not None))
     where = tuple(int(moment) for moment in held.moments), tuple(hold.person for hold in holds)
     return Pointed(tuple(found), *where, scene, notes)
 
@@ -152,6 +181,15 @@ def _given(tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: Poin
     return [hold for hold in holds if hold is not None]
 
 
+def _guessed_room(scene: Scene, rig: CameraRig, held: HeldJoints) -> Room:
+    """The objects' room, grown by cameras and people; not where they are in quite another place than the objects."""
+    inside = np.concatenate([rig.positions, np.reshape(held.joints.flat, (-1, 3))])
+    grown = Room.around(scene.objects, inside)
+    low, high = scene.objects.bounds
+    apart = np.maximum(inside.min(axis=0) - high, low - inside.max(axis=0)).max()
+    return scene.room if apart > max((high - low).max(), np.ptp(inside, axis=0).max()) else grown
+
+
 def _no_gesture(session: Session, following: Following, settings: PointSettings) -> InsufficientDataError:
     measured = sum(arm is not None for arm in following.arms.values())
     return InsufficientDataError(
@@ -174,7 +212,10 @@ def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
 def _notes(scene: Scene, known: bool) -> tuple[str, ...]:
     notes = []
     if not scene.room_known:
-        notes.append("The room's size is guessed from its objects; [room] in a .toml of objects gives it.")
+        notes.append(
+            "The room's size is guessed from objects, cameras and people; [room] in a .toml of objects, or --room.low "
+            "and --room.high, give it."
+        )
     if not known:
         notes.append("The calibration does not say how wrong it may be: its part of the lines' errors is left out.")
     return tuple(notes)

@@ -49,15 +49,21 @@ def speak(text: str) -> None:
         MissingDependencyError: the program is not installed, or fails.
     """
     check_speaker()
-    done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
+    try:
+        done = subprocess.run([SPEAKER, text], capture_output=True, text=True)
+    except OSError as error:
+        raise MissingDependencyError(f"{SPEAKER} failed ({error.strerror}); go without --speak.") from None
     if done.returncode:
-        raise MissingDependencyError(
-            f"{SPEAKER} failed ({done.stderr.strip() or done.returncode}); go without --speak."
-        )
+        why = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
+        raise MissingDependencyError(f"{SPEAKER} failed ({why}); go without --speak.")
 
 
 def as_json(answer: Answer) -> Mapping[str, object]:
-    """All of an answer, for a program or a robot."""
+    """All of an answer, for a program or a robot.
+
+    `point_m` is where to go: the place where the line meets the answer, the object's middle where it passes it by, the
+    place on the room's surface where nothing is meant; None only for who points from outside of the room at nothing.
+    """
     return {
         "gesture": answer.number,
         "person": answer.person,
@@ -76,6 +82,7 @@ def as_json(answer: Answer) -> Mapping[str, object]:
         "calibration_sigma_deg": answer.calibration_sigma_deg,
         "answer": answer.name,
         "distance_m": answer.distance_m,
+        "point_m": None if answer.point is None else _floats(answer.point),
         "probability": answer.probability,
         "probabilities": dict(answer.probabilities),
         "ambiguous": answer.ambiguous,

@@ -11,8 +11,8 @@ from jaxpoint.answer.sentence import as_json
 COLUMNS = (
     "gesture", "person", "start_s", "end_s", "time_s", "frame", "words", "line", "views", "tip_x_m", "tip_y_m",
     "tip_z_m", "direction_x", "direction_y", "direction_z", "azimuth_deg", "elevation_deg", "sigma_deg", "answer",
-    "distance_m", "probability", "ambiguous", "second", "second_probability", "nothing_probability", "hits",
-    "hit_distances_m",
+    "distance_m", "point_x_m", "point_y_m", "point_z_m", "probability", "ambiguous", "second", "second_probability",
+    "nothing_probability", "hits", "hit_distances_m",
     "nearest_1", "nearest_1_deg", "nearest_2", "nearest_2_deg", "nearest_3", "nearest_3_deg", "surface",
     "surface_distance_m", "sentence", "reasons",
 )  # fmt: skip
@@ -39,6 +39,8 @@ def _line(answer: Answer) -> dict[str, Any]:
     }
     line.update({f"tip_{axis}_m": float(answer.origin[i]) for i, axis in enumerate("xyz")})
     line.update({f"direction_{axis}": float(answer.direction[i]) for i, axis in enumerate("xyz")})
+    if answer.point is not None:
+        line.update({f"point_{axis}_m": float(answer.point[i]) for i, axis in enumerate("xyz")})
     if len(answer.probabilities) > 1:
         line["second"], line["second_probability"] = answer.probabilities[1]
     for i, (name, angle) in enumerate(answer.nearest, start=1):

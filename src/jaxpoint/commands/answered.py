@@ -96,4 +96,6 @@ def _write_pictures(folder: Path, shown: Sequence[GestureShown]) -> None:
 
     folder.mkdir()
     for gesture in shown:
-        save_sheet(folder / f"gesture_{gesture.number}.jpg", gesture.sheet)
+        save_sheet(
+            folder / f"gesture_{gesture.number}.jpg", gesture.sheet, f"Gesture {gesture.number}. {gesture.sentence}"
+        )

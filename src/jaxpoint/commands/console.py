@@ -39,13 +39,18 @@ class Console:
 
             yield advance
 
+    def say(self, lines: Sequence[str]) -> None:
+        """Print lines at once, before the outcome is known; nothing where one JSON object is all that is wanted."""
+        if not self.as_json:
+            sys.stdout.write("".join(f"{line}\n" for line in lines))
+            sys.stdout.flush()
+
     def show(self, outcome: Outcome) -> None:
         """Print the outcome: its lines, or with `--json` its figures as one object."""
+        self.say(outcome.lines)
         if self.as_json:
             sys.stdout.write(json.dumps(outcome.figures, allow_nan=False) + "\n")
-        else:
-            sys.stdout.write("".join(f"{line}\n" for line in outcome.lines))
-        sys.stdout.flush()
+            sys.stdout.flush()
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> tuple[str, ...]:

@@ -16,7 +16,8 @@ import tyro
 from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv, user_cache
 from jaxpoint.commands.options import Outcome, SeededOptions
-from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config import Count, RoomConfig, load_config
+from jaxpoint.config.point import PointSettings, RoomExtent
 from jaxpoint.errors import QualityError
 
 if TYPE_CHECKING:
@@ -61,7 +62,9 @@ class Demo(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """The answers, with what the truth says about them."""
         hush_opencv(self.verbose)
+        from jaxpoint.commands.point import check_settings
 
+        check_settings(self.room.point)
         out = self.needed_folder("demo-run")
         with embedded_session() as session, console.progress() as progress:
             outcome = self._answered(session, out, progress)
@@ -82,7 +85,7 @@ class Demo(SeededOptions):
             force=self.force,
             cache=self.cache,
             workers=self.workers,
-            settings=self.room.point,
+            settings=self._settings(session),
             person=self.room.detect.person,
             track=self.room.track,
         )
@@ -126,6 +129,13 @@ class Demo(SeededOptions):
         )
         failure = None if right else QualityError(f"0 of {told['all']} gestures were answered right; please report it.")
         return Outcome(figures, lines, failure)
+
+    def _settings(self, session: Path) -> PointSettings:
+        """How it is asked; the room is the session's own where none is given."""
+        settings = self.room.point
+        if settings.room != RoomExtent():
+            return settings
+        return replace(settings, room=load_config(session / "session.toml").point.room)
 
     def _calibrated(self, session: Path, progress: Progress) -> Calibration:
         """The cameras in the room, from the waved light and the places measured by tape."""

@@ -17,7 +17,7 @@ from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.errors import FileFormatError, MissingDependencyError, UsageError
 
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxpoint.camera.rig import CameraRig
     from jaxpoint.io.session import Session
     from jaxpoint.person.following import Following
+    from jaxpoint.person.views import CameraViews
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +57,7 @@ class Point(SeededOptions):
     speak: bool = False
     """Say the answers aloud; needs espeak-ng."""
     follow: bool = False
-    """Print one JSON line a gesture on standard output, for a robot; nothing else."""
+    """Print one JSON line a gesture on standard output as soon as all are answered, for a robot; nothing else."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the table; parquet needs pyarrow."""
     cache: Path | None = None
@@ -83,34 +84,42 @@ class Point(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write gestures, pictures and a page into `--out`."""
         hush_opencv(self.verbose)
-        from jaxpoint.answer.sentence import as_json, check_speaker, sentence, speak
+        from jaxpoint.answer.sentence import as_json, check_speaker
         from jaxpoint.commands.answered import write_answers
         from jaxpoint.io.table import check_table_path
 
         out = self.needed_folder("answers")
         check_table_path(out / f"gestures.{self.format}")
-        if self.settings.line == "blend":
-            check_blend(self.settings.blend)
+        check_settings(self.settings)
         if self.speak:
             check_speaker()
         with console.progress() as progress:
             session, following, pointed = self.answered(progress)
-            figures = write_answers(self, out, session, following, pointed)
         if self.follow:
-            lines = tuple(json.dumps(as_json(answer), allow_nan=False) for answer in pointed.answers)
+            console.say([json.dumps(as_json(answer), allow_nan=False) for answer in pointed.answers])
         else:
-            lines = (*answer_lines(pointed), *pointed.notes, f"Tables: {out}", f"Report: {out / 'report.html'}")
-        if self.speak:
-            for answer in pointed.answers:
+            console.say([*answer_lines(pointed), *pointed.notes])
+        figures = write_answers(self, out, session, following, pointed)
+        lines = () if self.follow else (f"Tables: {out}", f"Report: {out / 'report.html'}")
+        return Outcome(figures, lines, self._spoken(pointed, out))
+
+    def _spoken(self, pointed: Pointed, out: Path) -> MissingDependencyError | None:
+        """Say the answers where that is wanted; returns why that failed."""
+        from jaxpoint.answer.sentence import sentence, speak
+
+        try:
+            for answer in pointed.answers if self.speak else ():
                 speak(sentence(answer))
-        return Outcome(figures, lines)
+        except MissingDependencyError as error:
+            return MissingDependencyError(f"{str(error).removesuffix('.')}: the answers lie in '{out}'.")
+        return None
 
     def answered(
         self, progress: Progress, calibration: Calibration | None = None
     ) -> tuple[Session, Following, Pointed]:
         """Session, arms and answers; nothing is written. A calibration that was just made goes before a file's."""
         from jaxpoint.answer.hypotheses import correction_of
-        from jaxpoint.answer.pipeline import check_session, pointed, scene_of
+        from jaxpoint.answer.pipeline import check_session, pointed, room_of, scene_of
         from jaxpoint.answer.words import read_times, read_words
         from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
@@ -119,7 +128,7 @@ class Point(SeededOptions):
         session = open_session(self.session, self.calibration)
         check_session(session)
         assert session.rig is not None
-        scene, _ = scene_of(self._objects_file())
+        scene, _ = scene_of(self._objects_file(), room_of(self.settings.room))
         correction = None if self.bias is None else correction_of(read_bias(self.bias))
         times = None if self.times is None else read_times(self.times)
         words = () if self.words is None else read_words(self.words)
@@ -131,7 +140,7 @@ class Point(SeededOptions):
             rig = calibration.rig.select([known.index(name) for name in session.names])
             session = replace(session, rig=rig, calibration=None)
             assert session.rig is not None
-        following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
+        views, following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
         found = pointed(
             session,
             following,
@@ -141,25 +150,27 @@ class Point(SeededOptions):
             words=words,
             camera_covariance=_in_order(covariance, known, session.names),
             correction=correction,
+            watched=[note for view in views for note in view.notes],
         )
         return session, following, found
 
-    def _seen(self, session: Session, rig: CameraRig, progress: Progress) -> Following:
+    def _seen(self, session: Session, rig: CameraRig, progress: Progress) -> tuple[tuple[CameraViews, ...], Following]:
         """The arms in the images."""
         from jaxpoint.person.following import follow
         from jaxpoint.person.recording import default_cache, watch_session
 
         kept = self.cache or default_cache()
         views = watch_session(session, self.person, cache=kept, anew=self.anew, workers=self.workers, progress=progress)
-        return follow(rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
+        return views, follow(rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
 
-    def _given(self, session: Session, rig: CameraRig, progress: Progress) -> Following:
+    def _given(self, session: Session, rig: CameraRig, progress: Progress) -> tuple[tuple[CameraViews, ...], Following]:
         """The arms that a pose estimator found."""
         from jaxpoint.io.poses import read_poses
         from jaxpoint.person.poses import follow_poses, views_of_poses
 
         poses = read_poses(self.landmarks or Path(), session, self.min_confidence)
-        return follow_poses(rig, session, poses, views_of_poses(session, poses), self.track, progress)
+        views = views_of_poses(session, poses)
+        return views, follow_poses(rig, session, poses, views, self.track, progress)
 
     def inputs(self, session: Session) -> list[Path]:
         """All files that the answers were made from."""
@@ -175,16 +186,20 @@ class Point(SeededOptions):
         return own
 
 
-def check_blend(blend: Mapping[str, float]) -> None:
-    """Refuse weights that make no line.
+def check_settings(settings: PointSettings) -> None:
+    """Refuse a room that is none, and weights that make no line.
 
     Raises:
-        UsageError: there are none, or one is of a line that does not exist.
+        UsageError: as `room_of`; or there are no weights, or one is of a line that does not exist.
     """
+    from jaxpoint.answer.pipeline import room_of
     from jaxpoint.pointing.line import weights_of
 
+    room_of(settings.room)
+    if settings.line != "blend":
+        return
     try:
-        weights_of(blend)
+        weights_of(settings.blend)
     except ValueError as error:
         raise UsageError(f"{error} Give them in [point.blend] of the file of --config.") from None
 

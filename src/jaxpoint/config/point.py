@@ -29,6 +29,16 @@ class GestureSettings:
 
 
 @dataclass(frozen=True)
+class RoomExtent:
+    """The room as a box with walls along the axes; goes before the [room] of a .toml of objects."""
+
+    low: tuple[float, float, float] | None = None
+    """Lowest x, y and z of the room, m; without it the objects' file says it, or it is guessed."""
+    high: tuple[float, float, float] | None = None
+    """Highest x, y and z of the room, m."""
+
+
+@dataclass(frozen=True)
 class PointSettings:
     """How gestures become answers."""
 
@@ -37,3 +47,4 @@ class PointSettings:
     blend: dict[str, float] = field(default_factory=dict)
     """Weights of a blend, such as { forearm = 0.3, "head-hand" = 0.7 }."""
     gesture: GestureSettings = field(default_factory=GestureSettings)
+    room: RoomExtent = field(default_factory=RoomExtent)

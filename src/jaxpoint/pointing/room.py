@@ -7,6 +7,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit
@@ -15,7 +16,7 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.objects import Objects
 
-MARGIN_M = 0.5
+MARGIN_M = 0.05  # between a guessed wall and what is nearest to it
 SURFACES = (
     "the wall at the lowest x",
     "the wall at the lowest y",
@@ -33,10 +34,21 @@ class Room(eqx.Module):
     high: Float[Array, "3"] = eqx.field(converter=as_float)  # m
 
     @staticmethod
-    def around(objects: Objects, margin_m: float = MARGIN_M) -> Room:
-        """A guess where nobody gave the room's size: all objects, and a margin."""
-        low, high = objects.bounds
-        return Room(low - margin_m, high + margin_m)
+    def around(objects: Objects, inside: Float[np.ndarray, "N 3"] | None = None) -> Room:
+        """A guess where nobody gave the room's size: as small as holds what is known.
+
+        What hangs on walls bounds most rooms. The floor is at z = 0, as calibrations have it, or as low as anything.
+
+        Args:
+            objects: all of which lie in it.
+            inside: other places in it, such as cameras and people, m.
+        """
+        places = np.stack(objects.bounds)
+        if inside is not None:
+            places = np.concatenate([places, inside])
+        low, high = places.min(axis=0) - MARGIN_M, places.max(axis=0) + MARGIN_M
+        low[2] = min(0.0, places[:, 2].min())
+        return Room(low, high)
 
 
 class RoomPoint(eqx.Module):

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -19,8 +20,10 @@ _PAPER = (250, 248, 246)  # blue, green, red
 _ARM, _TIP, _BASE, _LINE, _MEANT, _OTHER = (
     (20, 130, 224), (80, 60, 235), (176, 80, 196), (20, 130, 224), (40, 40, 230), (220, 190, 60)
 )  # fmt: skip
-_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_FONT, _LARGE = cv2.FONT_HERSHEY_SIMPLEX, 0.6
+_BAND, _TEXT = 26, (47, 32, 16)  # px, a line of the text above all; blue, green, red
 _DASH_PX = 9
+_CLEAR = 4  # px, between two names
 
 
 @dataclass(frozen=True)
@@ -62,15 +65,31 @@ def pointing_sheet(views: Sequence[PointingView], *, columns: int = 3, width: in
     return np.concatenate([_row(row, columns, width) for row in rows])
 
 
-def save_sheet(path: StrPath, sheet: UInt8[np.ndarray, "H W 3"]) -> None:
-    """Write a sheet (red, green, blue) as JPEG, at once or not at all.
+def save_sheet(path: StrPath, sheet: UInt8[np.ndarray, "H W 3"], text: str) -> None:
+    """Write a sheet (red, green, blue) under a text as JPEG, at once or not at all.
 
     Raises:
         OSError: the folder is missing or not writable.
     """
-    data = cv2.imencode(".jpg", np.ascontiguousarray(sheet[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
+    image = np.concatenate([_band(text, sheet.shape[1]), sheet[..., ::-1]])
+    data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
     with replacing(path) as file:
         file.write(data.tobytes())
+
+
+def _band(text: str, width: int) -> UInt8[np.ndarray, "H W 3"]:
+    """Text on paper, in as many lines as it takes."""
+    lines = [""]
+    for word in text.encode("ascii", "replace").decode().split():
+        longer = f"{lines[-1]} {word}".strip()
+        if cv2.getTextSize(longer, _FONT, _LARGE, 1)[0][0] <= width - 8:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    band = np.full((_BAND * len(lines) + _GAP, width, 3), _PAPER, np.uint8)
+    for row, line in enumerate(lines, start=1):
+        cv2.putText(band, line, (4, _BAND * row - 6), _FONT, _LARGE, _TEXT, 1, cv2.LINE_AA)
+    return band
 
 
 def _row(cells: Sequence[np.ndarray], columns: int, width: int) -> np.ndarray:
@@ -101,8 +120,9 @@ def _cell(view: PointingView, width: int) -> np.ndarray:
         if pixel is not None:
             cv2.circle(image, tuple(place(pixel)), 5, (255, 255, 255), -1, cv2.LINE_AA)
             cv2.circle(image, tuple(place(pixel)), 4, color, -1, cv2.LINE_AA)
-    for outline in view.outlines:
-        _name(image, outline, place)
+    taken: list[_Box] = []
+    for outline in sorted(view.outlines, key=lambda one: not one.meant):
+        _name(image, outline, place, taken)
     return titled(image, view.title, view.reason)
 
 
@@ -117,8 +137,8 @@ def _dashed(image: np.ndarray, line: np.ndarray) -> None:
         cv2.line(image, tuple(start), tuple(end), _LINE, 2, cv2.LINE_AA)
 
 
-def _name(image: np.ndarray, outline: Outline, place) -> None:
-    """The name above the object, or below where there is no room; nothing where it lies outside the image."""
+def _name(image: np.ndarray, outline: Outline, place, taken: list[_Box]) -> None:
+    """The name beside the object, clear of other names; nothing where it lies outside the image."""
     corners = np.concatenate([place(edge) for edge in outline.edges]) if outline.edges else np.zeros((0, 2), int)
     high, wide = image.shape[:2]
     inside = corners[(corners >= 0).all(axis=1) & (corners < (wide, high)).all(axis=1)]
@@ -127,7 +147,29 @@ def _name(image: np.ndarray, outline: Outline, place) -> None:
     text = outline.name.encode("ascii", "replace").decode()
     (w, h), _ = cv2.getTextSize(text, _FONT, 0.45, 1)
     x = int(np.clip(inside[:, 0].mean() - w / 2, 2, max(2, wide - w - 2)))
-    y = int(inside[:, 1].min()) - 6
-    y = y if y - h > 2 else min(high - 4, int(inside[:, 1].max()) + h + 8)
-    cv2.rectangle(image, (x - 3, y - h - 3), (x + w + 3, y + 4), (255, 255, 255), -1)
-    cv2.putText(image, text, (x, y), _FONT, 0.45, _MEANT if outline.meant else (150, 110, 0), 1, cv2.LINE_AA)
+    above, below = int(inside[:, 1].min()) - 6, int(inside[:, 1].max()) + h + 8
+    # Nearest to the object's upper or lower edge, on the object only where there is no room beside it.
+    places = sorted(range(h + 3, high - 4), key=lambda y: (above < y < below, min(abs(y - above), abs(y - below))))
+    boxes = (_Box(x - 3, y - h - 3, x + w + 3, y + 4) for y in places)
+    box = next((box for box in boxes if not any(map(box.meets, taken))), None)
+    if box is None:
+        return  # an image so full of names is better without another
+    taken.append(box)
+    cv2.rectangle(image, (box.left, box.top), (box.right, box.bottom), (255, 255, 255), -1)
+    color = _MEANT if outline.meant else (150, 110, 0)
+    cv2.putText(image, text, (x, box.bottom - 4), _FONT, 0.45, color, 1, cv2.LINE_AA)
+
+
+class _Box(NamedTuple):
+    """A part of an image, px, ends included."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+    def meets(self, other: _Box) -> bool:
+        """Whether less than `_CLEAR` lies between them."""
+        across = max(self.left - other.right, other.left - self.right)
+        down = max(self.top - other.bottom, other.top - self.bottom)
+        return max(across, down) < _CLEAR

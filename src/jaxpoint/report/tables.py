@@ -216,13 +216,20 @@ def _spaced(key: Any) -> str:
 
 def origin_table(provenance: Mapping[str, Any] | None, seconds: Mapping[str, Any], seed: int | None) -> Table:
     """What the result was made with and from."""
-    rows = [[str(key).replace("_", " "), as_text(value)] for key, value in (provenance or {}).items()]
+    rows = [[_spaced(key), _origin(value)] for key, value in (provenance or {}).items()]
     if seed is not None and "seed" not in (provenance or {}):
         rows.append(["seed", str(seed)])
     spent = {name: f"{value:.2f}" for name, value in seconds.items() if value is not None}
     if spent:
         rows.append(["seconds", as_text(spent)])
     return Table([], rows)
+
+
+def _origin(value: Any) -> str:
+    """What it was made from: the keys of a dictionary are names of files and packages, told as they are."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {as_text(item)}" for key, item in value.items())
+    return as_text(value)
 
 
 def as_text(value: Any) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.loading import to_toml
-from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.config.point import RoomExtent
 from jaxpoint.errors import MissingDependencyError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.simulate.session import Progress, SimulatedFrame, SimulatedSession
@@ -52,7 +52,7 @@ def write_session(
     write_calibration_json(
         folder / "calibration.json", session.rig, provenance={"simulated": True, "seed": session.seed}
     )
-    (folder / "session.toml").write_text(made_from(session.settings, session.seed), encoding="utf-8")
+    (folder / "session.toml").write_text(made_from(session), encoding="utf-8")
     _write_objects(folder / "objects.csv", session)
     _write_timestamps(folder / "timestamps.csv", session)
     _write_people(truth / "people.csv", session)
@@ -223,10 +223,12 @@ def _write_joints(path: Path, session: SimulatedSession) -> None:
     _write_csv(path, ["frame", "person", "joint", "x_m", "y_m", "z_m"], rows)
 
 
-def made_from(settings: SimulationSettings, seed: int) -> str:
-    """The text of a configuration file that makes the session again."""
-    head = f"# jaxpoint {version('jaxpoint')}: jaxpoint simulate --config session.toml --seed {seed} --out again\n\n"
-    return head + to_toml({"simulate": settings})
+def made_from(session: SimulatedSession) -> str:
+    """The text of a configuration file that makes the session again, and gives `point` the room's size."""
+    again = f"jaxpoint simulate --config session.toml --seed {session.seed} --out again"
+    extent = RoomExtent((0.0, 0.0, 0.0), tuple(session.scene.size.tolist()))
+    settings = {"point": {"room": extent}, "simulate": session.settings}
+    return f"# jaxpoint {version('jaxpoint')}: {again}\n\n" + to_toml(settings)
 
 
 def _metres(values: Iterable[float]) -> list[str]:
