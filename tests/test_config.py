@@ -62,7 +62,7 @@ def test_paths_count_from_the_file_and_are_written_absolute(tmp_path, monkeypatc
         ),
         (
             "[simulate.people]\nturn_deg = { mean = 2, sd = 1, low = nan, high = 1 }",
-            "'simulate.people.turn_deg' cannot be used: low = nan and high = 1 are no range",
+            "'simulate.people.turn_deg.low' cannot be used: expected a finite number",
         ),
         (
             "[simulate.people.looks]\nsleeves = { none = 0, short = 0, elbow = 0, rolled = 0, long = 0 }",

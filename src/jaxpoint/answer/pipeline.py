@@ -14,7 +14,6 @@ from jaxpoint.answer.answers import Answer, Scene, answers
 from jaxpoint.answer.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
 from jaxpoint.answer.hypotheses import Correction, hypotheses
 from jaxpoint.answer.lines import HeldJoints, held_joints
-from jaxpoint.answer.notes import merged_notes
 from jaxpoint.answer.words import Interval, Word, evidence_of, pair_words
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.point import PointSettings, RoomExtent
@@ -22,6 +21,7 @@ from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.io.objects import MAX_ROOM_M, Database, read_objects
 from jaxpoint.io.session import Session
 from jaxpoint.person.following import Following
+from jaxpoint.person.notes import merged_notes
 from jaxpoint.pointing.objects import Objects, face_corners
 from jaxpoint.pointing.room import Room
 

@@ -150,12 +150,13 @@ def _figures(
 ) -> dict[str, Any]:
     from jaxpoint.detect.marker import is_mixture
     from jaxpoint.person.marker_tables import why
+    from jaxpoint.person.notes import merged_notes
 
     cameras = []
     for name, own in zip(session.names, markers):
         reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
         cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
-    notes = [*session.notes, *(note for own in markers for note in own.notes)]
+    notes = merged_notes([*session.notes, *(note for own in markers for note in own.notes)])
     if is_mixture(model, command.marker):
         notes.append(
             "The samples seem to hold several colours: the gates of hue, saturation and value "

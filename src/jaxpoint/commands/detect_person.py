@@ -147,6 +147,7 @@ def _write(
 
 def _figures(session: Session, views: tuple[CameraViews, ...], following: Following | None) -> dict[str, Any]:
     from jaxpoint.detect.person import FrameReason
+    from jaxpoint.person.notes import merged_notes
     from jaxpoint.person.views import head_found
 
     cameras = []
@@ -168,7 +169,7 @@ def _figures(session: Session, views: tuple[CameraViews, ...], following: Follow
         for person, number in enumerate(heads.people.tolist()):
             found = [arm is not None for (_, who), arm in following.arms.items() if who == person]
             people.append({"person": number, "moments": int(heads.present[:, person].sum()), "arms": sum(found)})
-    notes = [*session.notes, *(note for view in views for note in view.notes)]
+    notes = merged_notes([*session.notes, *(note for view in views for note in view.notes)])
     return {
         "moments": len(session.moments),
         "cameras": cameras,

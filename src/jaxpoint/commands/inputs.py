@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,17 +83,6 @@ def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:
         raise UsageError("With --intrinsics say what becomes of them: --lens.known hold, or --lens.known refine.")
     if intrinsics is None and lens.known != "none":
         raise UsageError(f"--lens.known {lens.known} needs a file of known intrinsics: --intrinsics FILE.")
-
-
-def check_finite(flag: str, numbers: Sequence[float]) -> None:
-    """Refuse nan and inf.
-
-    Raises:
-        UsageError: one of the numbers is either.
-    """
-    for place, number in enumerate(numbers, start=1):
-        if not math.isfinite(number):
-            raise UsageError(f"Number {place} of {flag} is {number}; give a finite one, m.")
 
 
 def check_no_out(out: Path | None, does: str = "only prints") -> None:

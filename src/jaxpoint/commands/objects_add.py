@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jaxpoint.commands.console import Console
-from jaxpoint.commands.inputs import check_finite, check_no_out
+from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Options, Outcome
 from jaxpoint.config import RoomConfig
 from jaxpoint.errors import FileFormatError, UsageError
@@ -70,7 +70,6 @@ class ObjectsAdd(Options):
             corners, sigma, count = _clicked(self.views, self.calibration)
             source = f"clicked in {count} views; one standard deviation of a corner is {1000 * sigma:.1f} mm"
         elif len(self.corners) == 12:
-            check_finite("--corners", self.corners)
             corners = np.reshape(self.corners, (4, 3))
         else:
             raise UsageError(f"--corners has {len(self.corners)} numbers; four corners have 12.")

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from jaxpoint.commands.console import Console, table
-from jaxpoint.commands.inputs import check_finite, check_no_out
+from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Options, Outcome
 from jaxpoint.config import RoomConfig
 from jaxpoint.errors import UsageError
@@ -43,8 +43,6 @@ class ObjectsCheck(Options):
         from jaxpoint.pointing.survey import outside, overlaps, survey
 
         check_no_out(self.out)
-        check_finite("--room-low", self.room_low or ())
-        check_finite("--room-high", self.room_high or ())
         if (self.room_low is None) != (self.room_high is None):
             raise UsageError("Give both --room-low and --room-high, three numbers each in metres, or neither.")
         if self.room_low is not None and self.room_high is not None and not _below(self.room_low, self.room_high):

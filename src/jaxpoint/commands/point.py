@@ -128,7 +128,7 @@ class Point(SeededOptions):
         session = open_session(self.session, self.calibration)
         check_session(session)
         assert session.rig is not None
-        scene, _ = scene_of(self._objects_file(), room_of(self.settings.room))
+        scene, database = scene_of(self._objects_file(), room_of(self.settings.room))
         correction = None if self.bias is None else correction_of(read_bias(self.bias))
         times = None if self.times is None else read_times(self.times)
         words = () if self.words is None else read_words(self.words)
@@ -150,7 +150,7 @@ class Point(SeededOptions):
             words=words,
             camera_covariance=_in_order(covariance, known, session.names),
             correction=correction,
-            watched=[note for view in views for note in view.notes],
+            watched=[*database.warnings, *(note for view in views for note in view.notes)],
         )
         return session, following, found
 

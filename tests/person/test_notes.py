@@ -1,6 +1,6 @@
 """What is to be known of a recording: each note once, of all cameras that it holds of."""
 
-from jaxpoint.answer.notes import merged_notes
+from jaxpoint.person.notes import merged_notes
 
 
 def test_what_holds_of_several_cameras_is_one_sentence():
