@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import multivariate_t
 
 from jaxpoint.answer.answers import Scene, answers
 from jaxpoint.answer.holds import Hold
@@ -86,12 +87,14 @@ def test_nothing_is_learnt_where_nobody_points_twice_or_people_are_not_known():
     assert learnt_offsets(with_none, OTHERS, WRONG, WHO, LEFT, ask) is None
 
 
-def test_the_grid_has_peoples_covariance():
+def test_the_grid_has_peoples_offsets_with_heavy_tails():
     between = np.deg2rad(4.0) ** 2 * np.array([[1.0, 0.5], [0.5, 1.5]])
     with jax.enable_x64(True):
         grid = Offsets.of(People(jnp.asarray(between), PEOPLE.within))
-    found = np.einsum("o,oi,oj->ij", grid.prior, grid.angles, grid.angles)
-    np.testing.assert_allclose(found, between, rtol=0.12)  # it ends at 2.5 standard deviations
+    expected = multivariate_t(shape=between, df=4).pdf(grid.angles)
+    np.testing.assert_allclose(grid.prior, expected / expected.sum())
+    bare = np.einsum("oi,ij,oj->o", grid.angles, np.linalg.inv(between), grid.angles)
+    assert 5.0 < np.sqrt(bare.max()) < 6.5  # some people are unlike all others
 
 
 OFFSET = np.deg2rad([6.0, 11.0])  # inwards and up

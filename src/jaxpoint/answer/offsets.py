@@ -20,9 +20,11 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour
 
-REACH = 2.5  # standard deviations of people, up to which offsets are tried
+REACH = 6.0  # standard deviations of people, up to which offsets are tried
+FREEDOM = 4.0  # of Student's t, by which people's offsets are told: some people are unlike all others
 STEP = 0.8  # standard deviations of one person's gestures, from one offset to the next
-MOST_STEPS = 12  # to each side
+MOST_STEPS = 20  # to each side
+LEAST = 1e-3  # of the middle's prior, below which an offset is not tried
 
 # Lines with axes O g, a behaviour, and the numbers of the g gestures, to probabilities (O g answers) and densities.
 Ask = Callable[[PointingLine, Behaviour, np.ndarray], tuple[np.ndarray, np.ndarray]]
@@ -37,7 +39,7 @@ class Offsets:
 
     @staticmethod
     def of(people: People) -> Offsets:
-        """On a grid that is as fine as one person's scatter."""
+        """Student's t about the shared bias, on a grid that is as fine as one person's scatter."""
         covariance = np.asarray(people.between)
         between = np.sqrt(np.diag(covariance))
         within = np.array([np.asarray(people.within.sigma_azimuth), np.asarray(people.within.sigma_elevation)])
@@ -45,8 +47,9 @@ class Offsets:
         sides = [np.linspace(-REACH, REACH, 2 * count + 1) * sigma for count, sigma in zip(steps, between, strict=True)]
         angles = np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 2)
         squared = np.einsum("oi,ij,oj->o", angles, np.linalg.inv(covariance), angles)
-        prior = np.exp(-squared / 2)
-        return Offsets(angles, prior / prior.sum())
+        prior = (1 + squared / FREEDOM) ** (-(FREEDOM + 2) / 2)
+        kept = prior > LEAST
+        return Offsets(angles[kept], prior[kept] / prior[kept].sum())
 
 
 def turned_lines(
