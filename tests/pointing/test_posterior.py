@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal, multivariate_t
 
 from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.mass import across, angle, masses, solid_angles
 from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
@@ -122,6 +123,14 @@ def test_solid_angles():
     found = jit_once(solid_angles)(jnp.asarray(TIP), Objects.of(listed).shapes)
     assert float(found[0]) == pytest.approx(2e-4, rel=1e-3)
     assert float(found[8]) == pytest.approx(2 * np.pi * (1 - np.sqrt(3) / 2))
+
+
+def test_spheres_alone():
+    balls = Objects.of([Thing("ahead", Sphere(TIP + 2 * AHEAD, 0.3)), Thing("behind", Sphere(TIP - 2 * AHEAD, 0.3))])
+    found = posterior(line(), balls, Behaviour())
+    assert float(found.probability[0]) > 0.5 > float(found.nothing) > 0.0
+    assert float(found.probability[1]) < 1e-3
+    np.testing.assert_array_equal(np.asarray(intersect(line().ray, balls).count), 1)
 
 
 def test_derivatives_of_probabilities_forward_and_reverse():

@@ -95,15 +95,15 @@ class Objects(eqx.Module):
                 found = _faces(thing.shape)
                 faces += found
                 face_owner += [k] * len(found)
-        face = _padded(np.array([row for row, _ in faces]).reshape(-1, 9))
+        face = _padded(np.array([row for row, _ in faces]).reshape(-1, 9), PAD)  # a minimum over no face has no value
         sphere = _padded(np.array(spheres).reshape(-1, 4))
-        owner = np.concatenate([_padded(np.array(face_owner, int)), _padded(np.array(sphere_owner, int))])
+        owner = np.concatenate([_padded(np.array(face_owner, int), PAD), _padded(np.array(sphere_owner, int))])
         corner, right, down = (as_float(face[:, i : i + 3]) for i in (0, 3, 6))
         shapes = Shapes(
             corner,
             right,
             down,
-            jnp.asarray(_padded(np.array([solid for _, solid in faces], bool))),
+            jnp.asarray(_padded(np.array([solid for _, solid in faces], bool), PAD)),
             as_float(sphere[:, :3]),
             as_float(sphere[:, 3]),
             jnp.asarray(owner),
@@ -184,6 +184,7 @@ def _faces(shape: Rectangle | Box) -> list[tuple[np.ndarray, bool]]:
     return faces
 
 
-def _padded(rows: np.ndarray) -> np.ndarray:
-    """With zeros up to a multiple of PAD rows; nothing stays nothing."""
-    return np.pad(rows, [(0, -len(rows) % PAD), *[(0, 0)] * (rows.ndim - 1)])
+def _padded(rows: np.ndarray, least: int = 0) -> np.ndarray:
+    """With zeros up to a multiple of PAD rows; nothing stays nothing, unless there are to be so many at least."""
+    count = max(least, len(rows) + -len(rows) % PAD)
+    return np.pad(rows, [(0, count - len(rows)), *[(0, 0)] * (rows.ndim - 1)])
