@@ -141,7 +141,8 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured"),
         ((folder, "--line", "blend"), 2, "The weights of a blend"),
         ((folder, "--room.low", 0, 0, 0), 2, "low and high corner both"),
-        ((folder, "--room.low", 0, 0, 0, "--room.high", 6, 5, "nan"), 2, "from 0 to nan m in z"),
+        ((folder, "--room.low", 0, 0, 0, "--room.high", 6, 5, "nan"), 2, "'room.high[2]' cannot be used"),
+        ((folder, "--room.low", 0, 0, 0, "--room.high", 6, 5, 300), 2, "from 0 to 300 m in z"),
         ((folder, "--objects", tmp_path / "none.csv"), 7, "There is no file"),
     ]
     before = sorted(tmp_path.rglob("*"))

@@ -81,7 +81,7 @@ def room_of(extent: RoomExtent) -> Room | None:
     if extent.low is None or extent.high is None:
         raise UsageError("Give the room's low and high corner both, three numbers each in metres, or neither.")
     for axis, low, high in zip("xyz", extent.low, extent.high):
-        if not 0 < high - low <= MAX_ROOM_M:  # nor is it where one is not a number
+        if not 0 < high - low <= MAX_ROOM_M:
             raise UsageError(
                 f"The settings room.low and room.high go from {low:g} to {high:g} m in {axis}; high must be above low, "
                 f"by {MAX_ROOM_M:.0f} m at most."

@@ -73,13 +73,13 @@ def room_view(room: RoomScene, scene: PointingScene) -> Figure:
     return figure
 
 
-def _azimuth(room: RoomScene, scene: PointingScene) -> float:
+def _azimuth(room: RoomScene, scene: PointingScene) -> int:
     """From where to look, degrees: the line is long, what is meant faces us, the person is in front."""
     person = (scene.origin - (room.low + room.high) / 2)[:2] / np.linalg.norm((room.high - room.low)[:2])
     faces = room.faces.get(scene.meant, ()) if scene.meant else ()
     up = np.deg2rad(_ELEVATION)
 
-    def merit(azimuth: float) -> float:
+    def merit(azimuth: int) -> float:
         across = np.deg2rad(azimuth)
         sight = np.array([np.cos(up) * np.cos(across), np.cos(up) * np.sin(across), np.sin(up)])
         length = float(np.linalg.norm(np.cross(scene.direction, sight)))
