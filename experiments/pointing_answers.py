@@ -6,7 +6,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.answer.answers import NOTHING, SHARPER, Answer, Scene, answers
+from jaxpoint.answer.answers import SHARPER, Answer, Scene, answers
 from jaxpoint.answer.holds import Hold
 from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
 from jaxpoint.answer.lines import HeldJoints
@@ -17,7 +17,7 @@ from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.joints import Joints, is_left
 from jaxpoint.pointing.line import KINDS, directions
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import NOTHING, Objects, Rectangle, Thing
 from jaxpoint.pointing.room import Room
 
 LINES = KINDS[:2]  # forearm and finger

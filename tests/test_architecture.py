@@ -11,7 +11,7 @@ import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (
-    ("errors", "compilation", "cores"),
+    ("errors", "compilation", "cores", "finite"),
     ("config",),
     ("geometry",),
     ("camera",),

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxpoint.answer.answers import NOTHING, Answer, Place, Scene, _by_words, _meant, _without_words
+from jaxpoint.answer.answers import Answer, Place, Scene, _by_words, _meant, _without_words
 from jaxpoint.answer.sentence import as_json
 from jaxpoint.answer.tables import gestures_table
-from jaxpoint.pointing.objects import Box, Objects, Sphere, Thing
+from jaxpoint.pointing.objects import NOTHING, Box, Objects, Sphere, Thing
 from jaxpoint.pointing.room import Room
 
 THINGS = (

@@ -6,11 +6,11 @@ import tomllib
 import numpy as np
 import pytest
 
-from jaxpoint.answer import answers
 from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.objects import CORNERS, NOTHING, append_object, check_shape, read_objects
+from jaxpoint.io.objects import CORNERS, check_shape, read_objects
+from jaxpoint.io.objects_adding import append_object
 from jaxpoint.pointing.objects import Box, Rectangle, Sphere, Thing
 from jaxpoint.simulate.rooms import random_room
 
@@ -132,10 +132,6 @@ def test_an_empty_table_and_an_ending_in_capitals(tmp_path):
         read_objects(tmp_path / "objects.csv")
     (tmp_path / "OBJECTS.TOML").write_text(TOML)
     assert len(read_objects(tmp_path / "OBJECTS.TOML").things) == 3
-
-
-def test_the_answer_nothing_is_no_name():
-    assert NOTHING == answers.NOTHING
 
 
 def test_an_extent_that_is_no_rooms_is_warned_of(tmp_path):

@@ -24,12 +24,11 @@ from jaxpoint.pointing.joints import Joints, is_left
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
 from jaxpoint.pointing.nearest import Nearest, nearest
-from jaxpoint.pointing.objects import Objects, Shapes
+from jaxpoint.pointing.objects import NOTHING, Objects, Shapes
 from jaxpoint.pointing.posterior import AMBIGUOUS, Behaviour, posterior
 from jaxpoint.pointing.room import SURFACES, Room, RoomPoint, end_in_room
 from jaxpoint.pointing.words import words_evidence
 
-NOTHING = "nothing"
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
 WRONG_OF_MORE = 0.02
 # By the lines' distributions alone answers are right more often than they say; this power makes both agree and changes

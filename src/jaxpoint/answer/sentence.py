@@ -6,8 +6,9 @@ import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
 
-from jaxpoint.answer.answers import NOTHING, Answer
+from jaxpoint.answer.answers import Answer
 from jaxpoint.errors import MissingDependencyError
+from jaxpoint.pointing.objects import NOTHING
 
 SPEAKER = "espeak-ng"
 SURE = 0.8

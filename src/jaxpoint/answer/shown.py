@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.answer.answers import NOTHING, Answer
+from jaxpoint.answer.answers import Answer
 from jaxpoint.answer.pipeline import Pointed, faces_of
 from jaxpoint.answer.sentence import sentence
 from jaxpoint.camera.rig import CameraRig
@@ -16,6 +16,7 @@ from jaxpoint.io.session import Session
 from jaxpoint.io.video import open_frames
 from jaxpoint.person.arms import ArmReason, PointingArm
 from jaxpoint.person.following import Following
+from jaxpoint.pointing.objects import NOTHING
 from jaxpoint.report.figures_pointing import PointingScene, RoomScene
 from jaxpoint.report.pointing import GestureShown
 from jaxpoint.report.pointing_sheet import Outline, PointingView, pointing_sheet

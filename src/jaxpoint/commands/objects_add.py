@@ -58,7 +58,7 @@ class ObjectsAdd(Options):
         """Find the corners, and append."""
         import numpy as np
 
-        from jaxpoint.io.objects import append_object
+        from jaxpoint.io.objects_adding import append_object
         from jaxpoint.pointing.objects import Rectangle, Thing
         from jaxpoint.pointing.survey import survey
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
@@ -15,6 +14,7 @@ import msgspec
 import tomli_w
 
 from jaxpoint.errors import UsageError
+from jaxpoint.finite import not_finite
 
 Settings = TypeVar("Settings")
 
@@ -62,7 +62,7 @@ def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
             raise ValueError("expected a path in quotes")
         return folder / value
 
-    for key, number in _not_finite(raw):
+    for key, number in not_finite(raw):
         raise _refused(key, "expected a finite number", number)
     try:
         return msgspec.convert(raw, kind, dec_hook=as_path)
@@ -78,18 +78,6 @@ def _refused(key: str, reason: str, given: Any) -> UsageError:
     """The error of one setting; what was given is shown where it is a value."""
     shown = "" if given is None or isinstance(given, dict) else f" (given: {given!r})"
     return UsageError(f"The setting '{key.removeprefix('settings.')}' cannot be used: {reason}{shown}.")
-
-
-def _not_finite(raw: Any, place: str = "") -> Iterator[tuple[str, float]]:
-    """Infinities and NaNs (as dotted paths), which ranges with one bound let pass."""
-    if isinstance(raw, dict):
-        for key, value in raw.items():
-            yield from _not_finite(value, f"{place}.{key}" if place else key)
-    elif isinstance(raw, list):
-        for i, value in enumerate(raw):
-            yield from _not_finite(value, f"{place}[{i}]")
-    elif isinstance(raw, float) and not math.isfinite(raw):
-        yield place, raw
 
 
 def _unknown_keys(raw: Any, kind: Any, place: str = "") -> Iterator[tuple[str, list[str]]]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from jaxpoint.errors import FileFormatError
+from jaxpoint.finite import not_finite
 
 StrPath = str | os.PathLike[str]
 MAX_INTEGER = 10**15
@@ -59,21 +60,8 @@ def check_finite(table: dict[str, Any]) -> None:
     Raises:
         ValueError: the key and the number.
     """
-    for key, number in _floats(table, ""):
-        if not math.isfinite(number):
-            raise ValueError(f"{key} is {number}, which is no finite number")
-
-
-def _floats(value: object, key: str) -> Iterator[tuple[str, float]]:
-    """All floats in a value, however deep, with their keys."""
-    if isinstance(value, dict):
-        for name, part in value.items():
-            yield from _floats(part, f"{key}.{name}" if key else name)
-    elif isinstance(value, list):
-        for i, part in enumerate(value):
-            yield from _floats(part, f"{key}[{i}]")
-    elif isinstance(value, float):
-        yield key, value
+    for key, number in not_finite(table):
+        raise ValueError(f"{key} is {number}, which is no finite number")
 
 
 def natural_key(text: str) -> list[tuple[int, int, str]]:

@@ -17,25 +17,19 @@ No object is named `nothing`: that is the answer where none is meant.
 
 from __future__ import annotations
 
-import csv
-import io
 import tomllib
 from collections import Counter
 from dataclasses import dataclass
-from itertools import zip_longest
-from operator import attrgetter
 from pathlib import Path
-from typing import Any
 
 import jax
 import msgspec
 import numpy as np
-import tomli_w
 from jaxtyping import Float
 
-from jaxpoint.errors import FileFormatError, UsageError
-from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text, replacing
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Shape, Sphere, Thing, flat_rectangle
+from jaxpoint.errors import FileFormatError
+from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text
+from jaxpoint.pointing.objects import NOTHING, Box, Objects, Rectangle, Shape, Sphere, Thing, flat_rectangle
 from jaxpoint.pointing.room import Room
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -45,8 +39,6 @@ MAX_ROOM_M = 100.0
 USUAL_SPAN_M = (1.0, 30.0)  # of all objects together; beyond these the unit is often wrong
 FARTHEST_M = 1e8  # from the origin, which may be that of a map
 MIN_SIDE_M = 0.001
-NOTHING = "nothing"  # as `jaxpoint.answer.answers` has it
-_WRITTEN = 1e-5  # m or rad, to which `append_object` writes
 _LAYOUT = (
     "it must hold unit, and may hold [room] (low, high), [[rectangle]] (name, corners), [[box]] (name, center, size, "
     "yaw_deg) and [[sphere]] (name, center, radius), all with kind and tags"
@@ -76,33 +68,7 @@ def read_objects(path: StrPath) -> Database:
             twisted or has no size, or objects too far apart for a room.
     """
     path = Path(path)
-    return _parsed(path, read_text(path))
-
-
-def append_object(path: StrPath, thing: Thing) -> tuple[str, ...]:
-    """Add one object at the end of a database, in the file's own unit; the file changes whole or not at all.
-
-    Returns:
-        The warnings that the database did not have without it.
-
-    Raises:
-        FileFormatError: the file cannot be read, or the object does not fit it.
-        UsageError: a name that cannot be one, or that a CSV file has no place for the object's shape, kind or tags.
-    """
-    path = Path(path)
-    _check_new_name(thing.name)
-    check_shape(thing.shape, f"'{thing.name}'")
-    old = read_text(path)
-    known = _parsed(path, old)
-    things = [*known.things, thing]
-    _check_names(path, things)
-    _check_span(path, things)
-    added = _toml_entry(thing, tomllib.loads(old)["unit"]) if _is_toml(path) else _csv_line(path, old, thing)
-    new = old + ("" if old.endswith("\n") else "\n") + added
-    found = _read_back(path, new, things)
-    with replacing(path) as file:
-        file.write(new.encode())
-    return tuple(warning for warning in found.warnings if warning not in known.warnings)
+    return parse_objects(path, read_text(path))
 
 
 def check_shape(shape: Shape, name: str) -> None:
@@ -111,7 +77,7 @@ def check_shape(shape: Shape, name: str) -> None:
     Raises:
         FileFormatError: a number that is not finite, a size that is not positive, or corners in another order.
     """
-    numbers = _numbers(shape)
+    numbers = numbers_of(shape)
     wrong = numbers[~(np.abs(numbers) < FARTHEST_M)]
     if wrong.size:
         raise FileFormatError(f"{name} has a coordinate or a size of {wrong[0]:g} m; correct that number.")
@@ -129,45 +95,18 @@ def check_shape(shape: Shape, name: str) -> None:
         )
 
 
-def _parsed(path: Path, text: str) -> Database:
-    things, room = _parse_toml(path, text) if _is_toml(path) else (_parse_csv(path, text), None)
-    _check_names(path, things)
-    span = _check_span(path, things)
+def parse_objects(path: Path, text: str) -> Database:
+    things, room = _parse_toml(path, text) if is_toml(path) else (_parse_csv(path, text), None)
+    check_names(path, things)
+    span = check_span(path, things)
     return Database(tuple(things), room, (*_bent(things), *_unusual(span)))
 
 
-def _is_toml(path: Path) -> bool:
+def is_toml(path: Path) -> bool:
     return path.suffix.lower() == ".toml"
 
 
-def _read_back(path: Path, text: str, things: list[Thing]) -> Database:
-    """What a file with this text would hold, which must be these objects."""
-    remedy = (
-        "write every object as a [[rectangle]], [[box]] or [[sphere]] of its own"
-        if _is_toml(path)
-        else "mend the file's last line, or the object's kind and tags"
-    )
-    refusal = f"{path} would not be read as it should with '{things[-1].name}' at its end; {remedy}"
-    try:
-        found = _parsed(path, text)
-    except FileFormatError as error:
-        raise FileFormatError(f"{refusal}: {error}") from None
-    by_name = attrgetter("name")
-    pairs = zip_longest(sorted(found.things, key=by_name), sorted(things, key=by_name))
-    if not all(_is_same(one, other) for one, other in pairs):
-        raise FileFormatError(f"{refusal}.")
-    return found
-
-
-def _is_same(one: Thing | None, other: Thing | None) -> bool:
-    """But for the rounding of what is written."""
-    if one is None or other is None:
-        return False
-    alike = (one.name, one.kind, one.tags, type(one.shape)) == (other.name, other.kind, other.tags, type(other.shape))
-    return alike and np.allclose(_numbers(one.shape), _numbers(other.shape), rtol=0, atol=_WRITTEN)
-
-
-def _numbers(shape: Shape) -> Float[np.ndarray, " n"]:
+def numbers_of(shape: Shape) -> Float[np.ndarray, " n"]:
     """All lengths (m) and angles (rad) of a shape."""
     if isinstance(shape, Sphere):
         return np.array([*shape.center, shape.radius], float)
@@ -315,23 +254,16 @@ def _room(path: Path, extent: _Extent, scale: float) -> Room:
         return Room(low, high)
 
 
-def _check_new_name(name: str) -> None:
-    """Refuse what cannot be a name, and what would make a comment of a line."""
-    fault = _fault(name) or ("begins with a '#', as comments do" if name.startswith("#") else None)
-    if fault is not None:
-        raise UsageError(f"An object cannot be named '{name}': that {fault}; give it another name.")
-
-
-def _fault(name: str) -> str | None:
+def name_fault(name: str) -> str | None:
     """What keeps a word from being a name."""
     if name.strip().splitlines() != [name]:
         return "is empty, or has a line break or spaces around it"
     return "is the answer where no object is meant" if name.lower() == NOTHING else None
 
 
-def _check_names(path: Path, things: list[Thing]) -> None:
+def check_names(path: Path, things: list[Thing]) -> None:
     for thing in things:
-        fault = _fault(thing.name)
+        fault = name_fault(thing.name)
         if fault is not None:
             raise FileFormatError(f"{path} has an object named '{thing.name}': that {fault}; give it another name.")
     name, count = Counter(thing.name for thing in things).most_common(1)[0]
@@ -339,7 +271,7 @@ def _check_names(path: Path, things: list[Thing]) -> None:
         raise FileFormatError(f"{path} has {count} objects named '{name}'; give each a name of its own.")
 
 
-def _check_span(path: Path, things: list[Thing]) -> float:
+def check_span(path: Path, things: list[Thing]) -> float:
     """How far apart the objects lie, m, which must be within a room."""
     with jax.enable_x64(True):
         low, high = Objects.of(things).bounds
@@ -371,44 +303,3 @@ def _bent(things: list[Thing]) -> list[str]:
                 f"{100 * MAX_RESIDUAL_M:.0f} cm); measure them again."
             )
     return notes
-
-
-def _csv_line(path: Path, text: str, thing: Thing) -> str:
-    if not isinstance(thing.shape, Rectangle):
-        raise UsageError(f"'{path}' holds rectangles only; keep boxes and spheres in a .toml.")
-    header = parse_header(path, text)
-    for column, value in (("kind", thing.kind), ("tags", thing.tags)):
-        if value and column not in header:
-            raise UsageError(f"'{path}' has no column '{column}'; add it to every line first, or leave {column} out.")
-    named = [unit for unit in UNITS if f"{CORNERS[0]}_{unit}" in header]
-    unit = named[0] if named else parse_table(path, text, ("name",))[-1].text("unit")
-    numbers = np.asarray(thing.shape.corners).ravel() / UNITS[unit]
-    suffix = f"_{unit}" if named else ""
-    values: dict[str, Any] = {f"{column}{suffix}": f"{number:.5f}" for column, number in zip(CORNERS, numbers)}
-    values |= {"name": thing.name, "unit": unit, "kind": thing.kind, "tags": " ".join(thing.tags)}
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow([values.get(column, "") for column in header])
-    return line.getvalue()
-
-
-def _toml_entry(thing: Thing, unit: str) -> str:
-    scale = 1 / UNITS[unit]
-    shape = thing.shape
-    entry: dict[str, Any] = {"name": thing.name}
-    entry |= {key: value for key, value in (("kind", thing.kind), ("tags", list(thing.tags))) if value}
-    if isinstance(shape, Rectangle):
-        kind, entry["corners"] = "rectangle", _rounded(scale * np.asarray(shape.corners))
-    elif isinstance(shape, Box):
-        kind, entry["center"], entry["size"] = "box", _rounded(scale * shape.center), _rounded(scale * shape.size)
-        entry |= {"yaw_deg": round(float(np.rad2deg(shape.yaw)), 3)} if shape.yaw else {}
-    else:
-        kind, entry["center"], entry["radius"] = (
-            "sphere",
-            _rounded(scale * shape.center),
-            round(scale * shape.radius, 5),
-        )
-    return "\n" + tomli_w.dumps({kind: [entry]})
-
-
-def _rounded(values: np.ndarray) -> list:
-    return np.round(values, 5).tolist()

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.geometry.arrays import AnyArray, as_float
 
+NOTHING = "nothing"  # the answer where no object is meant, so that no object has this name
 PAD = 8  # shapes are padded to multiples of it: few programs are compiled while a database grows
 
 
