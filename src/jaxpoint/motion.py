@@ -98,7 +98,15 @@ class OnClock:
 
     def applied(self, tracks: Tracks) -> Tracks:
         """The tracks on the common clock."""
-        return Tracks(self.pixels, self.visible, tracks.image_sizes, tracks.frame_ids, tracks.times, tracks.names)
+        return Tracks(
+            self.pixels,
+            self.visible,
+            tracks.image_sizes,
+            tracks.frame_ids,
+            tracks.times,
+            tracks.names,
+            tracks.pixel_aspects,
+        )
 
     def back(self, values: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
         """What holds for a pixel on the common clock, written at the camera's own frame; False where none was used."""

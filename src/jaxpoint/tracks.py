@@ -24,6 +24,7 @@ class Tracks(eqx.Module):
     frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording
     times: Float[np.ndarray, " F"] | None = None  # s
     names: tuple[str, ...] = eqx.field(static=True, default=())
+    pixel_aspects: Float[np.ndarray, " C"] | None = None  # width over height of a pixel, as the videos state it
 
     @staticmethod
     def from_pixels(
@@ -33,6 +34,7 @@ class Tracks(eqx.Module):
         frame_ids: Int[np.ndarray, " F"] | None = None,
         times: Float[np.ndarray, " F"] | None = None,
         names: Sequence[str] = (),
+        pixel_aspects: Float[np.ndarray, " C"] | None = None,
     ) -> Tracks:
         """Checked tracks from an array of pixels, NaN (or `visible` False) where the light was not seen.
 
@@ -73,7 +75,11 @@ class Tracks(eqx.Module):
             times = np.asarray(times, dtype=np.float64)
             if times.shape != (frames,):
                 raise ValueError(f"`times` has shape {times.shape}, but there are {frames} frames.")
-        return Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names)
+        if pixel_aspects is not None:
+            pixel_aspects = np.asarray(pixel_aspects, dtype=np.float64)
+            if pixel_aspects.shape != (cameras,) or not (np.isfinite(pixel_aspects) & (pixel_aspects > 0)).all():
+                raise ValueError(f"{cameras} cameras need as many positive pixel aspects, not {pixel_aspects.tolist()}.")
+        return Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
 
     @property
     def cameras(self) -> int:
@@ -95,6 +101,7 @@ class Tracks(eqx.Module):
             self.frame_ids[frames],
             times,
             self.names,
+            self.pixel_aspects,
         )
 
     def select_cameras(self, cameras: Sequence[int]) -> Tracks:
@@ -113,4 +120,5 @@ class Tracks(eqx.Module):
             self.frame_ids,
             self.times,
             tuple(self.names[i] for i in index),
+            None if self.pixel_aspects is None else self.pixel_aspects[index],
         )

@@ -102,6 +102,7 @@ def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
         stamps.sync_indices,
         stamps.times,
         tracks.names,
+        tracks.pixel_aspects,
     )
 
 

@@ -90,6 +90,8 @@ def save_tracks(
     }
     if tracks.times is not None:
         arrays["times"] = tracks.times
+    if tracks.pixel_aspects is not None:
+        arrays["pixel_aspects"] = tracks.pixel_aspects
     if reasons is not None:
         reasons = np.asarray(reasons)
         if reasons.shape != tracks.visible.shape or not ((reasons >= 0) & (reasons < len(reason_names))).all():
@@ -117,6 +119,7 @@ def load_tracks(path: StrPath) -> Tracks:
             arrays["frame_ids"],
             arrays.get("times"),
             tuple(str(name) for name in arrays["names"]),
+            arrays.get("pixel_aspects"),
         )
     except (KeyError, ValueError) as error:
         raise FileFormatError(f"{path} is damaged: {error}") from None
