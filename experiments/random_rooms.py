@@ -35,7 +35,8 @@ from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE
 from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.selfcal import calibrate, centred
+from jaxpoint.calibration.assembly import centred
+from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, to_toml
 from jaxpoint.errors import JaxpointError, UsageError
 from jaxpoint.metrics import judge

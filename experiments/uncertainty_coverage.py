@@ -30,7 +30,8 @@ from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.propagation import joint_uncertainty
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
 from jaxpoint.calibration.result import Calibration, Verdict
-from jaxpoint.calibration.selfcal import calibrate, centred, rig_of
+from jaxpoint.calibration.assembly import centred, rig_of
+from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.calibration.uncertainty import Anchors, Uncertainty, uncertainty_of
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import JaxpointError

@@ -14,6 +14,14 @@ PLANE_ERROR_PX = 3.0  # at a width of 1280: a homography this good between all v
 MIN_THICKNESS = 0.01  # smallest over largest extent of the light's path (standard deviations)
 
 
+class ContradictionError(InsufficientDataError):
+    """One camera fits no other; the rest may do."""
+
+    def __init__(self, message: str, camera: int):
+        super().__init__(message)
+        self.camera = camera
+
+
 def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeometry) -> None:
     """Refuse recordings whose pairs do not fit together or whose light stays on a plane.
 
@@ -24,11 +32,12 @@ def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeom
         inliers, shared = geometry.inliers[camera], geometry.shared[camera]
         best = int(np.argmax(inliers))
         if inliers[best] < MIN_INLIERS or inliers[best] < MIN_INLIER_SHARE * shared[best]:
-            raise InsufficientDataError(
+            raise ContradictionError(
                 f"Camera '{name}' fits no other: of {shared[best]} frames shared with '{tracks.names[best]}' only "
-                f"{inliers[best]} agree with one epipolar geometry. Check that the recordings are synchronised "
-                "(`jaxpoint check` says; `--time-offsets` solves for cameras out of step by up to 2 frames) and show "
-                "the same light, or drop the camera."
+                f"{inliers[best]} agree with one epipolar geometry. Does it show the same light at the same time? "
+                "`jaxpoint check` finds cameras that are late or run at another rate; or leave it out (--leave-out "
+                f"{name}).",
+                camera,
             )
     errors = [_homography_error(data, geometry, pair) for pair in geometry.fundamentals]
     worst = max(errors, default=np.inf)

@@ -144,6 +144,7 @@ def rig_state(
         numbers[:count, FOCAL:] = known_numbers(lenses.known)
         return RigState(numbers, base, placed)
     numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
+    numbers[:count, ASPECT] = -np.log(data.pixel_aspects)
     for camera in range(count):
         reach = np.linalg.norm(data.points[data.visible[:, camera], camera], axis=1).max()
         numbers[camera, RADIAL] = brown_of_division(division[camera], focal[camera], reach)

@@ -1,9 +1,11 @@
-"""Extra lens parameters are freed only where held-out error falls (SPEC 2.6)."""
+"""Tangential and higher radial lens terms are freed only where held-out error falls."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from jaxpoint.calibration.bundle import K3, TANGENTIAL
+from jaxpoint.calibration.objective import Solution, solve_with
 from jaxpoint.calibration.outliers import GROWING_PX, Settled, judge, settle
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Stage
@@ -14,13 +16,15 @@ STRETCHES = 40
 LEAST_EVIDENCE = 3.0  # standard errors of the mean difference
 
 
-def choose_lens(
-    recording: Recording, settled: Settled, simple: Freedom, rich: Freedom, settings: CalibrateSettings
-) -> tuple[Settled, Freedom, Stage]:
-    """Settle again with p1, p2 and k3 where they predict frames held out better; otherwise leave the rig as it is."""
+def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSettings) -> tuple[Solution, Stage]:
+    """Solve again with p1, p2 and k3 where they predict held-out frames better; otherwise leave the rig as it is."""
+    simple, rich = (_with_terms(solution.freedom, recording.exists, extra) for extra in (False, True))
+    if solution.freedom.free[:, K3].any():  # chosen before another prior was given up: ask again
+        solution = solve_with(recording, _without_terms(solution.settled.judged.state), simple, settings.outliers)
+    settled = solution.settled
     held = _held_out_frames(settled.judged.kept, settings.held_out, settings.seed)
     if held.sum() < 10:
-        return settled, simple, Stage("Lens model", {"chosen": "k1, k2", "why": "too few frames to hold out"})
+        return solution, Stage("Lens model", {"chosen": "k1, k2", "why": "too few frames to hold out"})
     before, after = (_held_out_errors(recording, settled, freedom, held) for freedom in (simple, rich))
     gain = before - after
     evidence = gain.mean() / max(gain.std() / np.sqrt(len(gain)), 1e-12)
@@ -31,10 +35,23 @@ def choose_lens(
         "gain_in_standard_errors": float(evidence),
     }
     if gain.mean() <= LEAST_GAIN * before.mean() or evidence <= LEAST_EVIDENCE:
-        return settled, simple, Stage("Lens model", {"chosen": "k1, k2", **figures})
+        return solution, Stage("Lens model", {"chosen": "k1, k2", **figures})
     judged = judge(recording, settled.judged.state, GROWING_PX[-1] * recording.scale)
     again = settle(recording, judged, rich, settings.outliers)
-    return again, rich, Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
+    return Solution(again, rich), Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
+
+
+def _with_terms(freedom: Freedom, exists: np.ndarray, extra: bool) -> Freedom:
+    """The freedom with tangential and third radial terms free or not."""
+    free = freedom.free.copy()
+    free[exists, TANGENTIAL], free[exists, K3] = extra, extra
+    return Freedom(free, freedom.prior_mean, freedom.prior_weight)
+
+
+def _without_terms(state: RigState) -> RigState:
+    cameras = state.cameras.copy()
+    cameras[:, TANGENTIAL], cameras[:, K3] = 0.0, 0.0
+    return RigState(cameras, state.base, state.points)
 
 
 def _held_out_frames(kept: np.ndarray, share: float, seed: int) -> np.ndarray:

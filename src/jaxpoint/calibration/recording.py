@@ -41,10 +41,14 @@ class Recording:
     image_sizes: np.ndarray  # (D, 2)
     frames: int
     cameras: int
+    pixel_aspects: np.ndarray  # (D,) width over height of a pixel; 1 where nothing states another
 
     @staticmethod
     def of(tracks: Tracks) -> Recording:
         """Pad tracks."""
+        aspects = np.ones(padded_cameras(tracks.cameras))
+        if tracks.pixel_aspects is not None:
+            aspects[: tracks.cameras] = tracks.pixel_aspects
         frames, cameras = padded_frames(tracks.frames), padded_cameras(tracks.cameras)
         pixels = np.zeros((frames, cameras, 2))
         visible = np.zeros((frames, cameras), dtype=bool)
@@ -52,7 +56,7 @@ class Recording:
         pixels[: tracks.frames, : tracks.cameras] = tracks.pixels
         visible[: tracks.frames, : tracks.cameras] = tracks.visible
         sizes[: tracks.cameras] = tracks.image_sizes
-        return Recording(pixels, visible, sizes, tracks.frames, tracks.cameras)
+        return Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects)
 
     @property
     def scale(self) -> float:
@@ -113,7 +117,7 @@ def free_parameters(recording: Recording, lens: LensSettings, distortion: str, h
 
 
 NOISE_PX = 0.5  # assumed when priors are weighed against pixels
-SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.02, 1.0, 0.005  # weak: they only hold what nothing else determines
+SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.3, 1.0, 0.005  # weak: they only hold what nothing else determines
 
 
 def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.ndarray]:
@@ -121,6 +125,7 @@ def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.nda
     shape = (recording.image_sizes.shape[0], SIZE)
     mean, sigma = np.zeros(shape), np.full(shape, np.inf)
     mean[:, CENTER] = (recording.image_sizes - 1) / 2.0
+    mean[:, ASPECT] = -np.log(recording.pixel_aspects)  # of fx / fy
     if lens.principal_point == "prior":
         sigma[:, CENTER] = lens.principal_point_sigma * recording.image_sizes[:, :1]
     sigma[:, ASPECT] = SIGMA_ASPECT

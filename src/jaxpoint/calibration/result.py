@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -46,6 +46,20 @@ class Stage:
     figures: dict[str, Any]
 
 
+Level = Literal["good", "care", "bad"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that a user must know about a calibration: the cause, what was found, and what helps."""
+
+    cause: str  # one or two words that stay the same from version to version, such as "parallel axes"
+    level: Level  # "bad": the calibration does not pass because of it
+    finding: str  # a sentence with the figure
+    remedy: str
+    cameras: tuple[str, ...] = ()  # that it concerns
+
+
 @dataclass(frozen=True)
 class TimeOffsets:
     """By how much cameras ran out of step, in frames of the recording; the first camera is the clock."""
@@ -84,6 +98,7 @@ class Calibration:
     freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
     loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
     time_offsets: TimeOffsets | None = None  # where they were solved for
+    findings: tuple[Finding, ...] = ()  # what `calibrate` met on the way; `calibration.quality` adds the rest
 
     @property
     def kept(self) -> Bool[np.ndarray, "F C"]:

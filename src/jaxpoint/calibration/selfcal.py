@@ -1,4 +1,4 @@
-"""Self-calibration: from the tracks of a waved light to a calibrated rig (SPEC 2, thesis 5.3)."""
+"""Self-calibration: from the tracks of a waved light to a calibrated rig (thesis 5.3)."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from jaxpoint.calibration.bundle import FOCAL
-from jaxpoint.calibration.degenerate import check_geometry, check_volume
-from jaxpoint.calibration.hypotheses import Lenses, known_numbers
+from jaxpoint.calibration.aspects import with_stated_aspects
+from jaxpoint.calibration.assembly import LOST, assembled
+from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out
+from jaxpoint.calibration.degenerate import ContradictionError, check_geometry, check_volume
+from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.initial import Inputs, Start, starts
-from jaxpoint.calibration.lens_choice import choose_lens
+from jaxpoint.calibration.objective import Solution, better_by
 from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
-from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.pairs import check_pairs, pair_table
-from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
-from jaxpoint.calibration.result import Calibration, PairTable, Stage, TimeOffsets, Verdict
+from jaxpoint.calibration.prior_checks import given_up
+from jaxpoint.calibration.recording import Recording
+from jaxpoint.calibration.refinement import Refinement, freedom_of
+from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
-from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
@@ -33,8 +35,7 @@ Progress = Callable[[str, int, int], None]
 HOPELESS = 3.0  # candidates that cost this many times more than the best are not followed up
 DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
 PROMISING = 1.005  # those that keep this many times more when grown are followed to the end,
-LOST = 0.9  # and below this share all of them; what then still keeps less is not called good
-# (right rigs of random rooms and real recordings keep 0.92 to 1.02, rigs from spoilt starts 0.02 to 0.88)
+# and below `assembly.LOST` all of them
 
 
 def calibrate(
@@ -66,14 +67,42 @@ def calibrate(
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
     with jax.enable_x64(True):
-        return _calibrated(tracks, settings, intrinsics, progress or _silent)
+        tracks = with_stated_aspects(tracks, settings.lens)
+        return _consistent(tracks, settings, intrinsics, progress or _silent)
 
 
 def _silent(what: str, done: int, total: int) -> None:
     """No progress is shown."""
 
 
-def _calibrated(recorded: Tracks, settings, intrinsics, progress: Progress) -> Calibration:
+def _consistent(tracks: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
+    """Solve all cameras; those that the others contradict are left out, one after the other, and named."""
+    least = 3 if intrinsics is None else 2
+    try:
+        found = _solved(tracks, settings, intrinsics, progress)
+        odd = contradicted_camera(found)
+    except ContradictionError as error:
+        if tracks.cameras <= least:
+            raise
+        found, odd = None, error.camera
+        reason = error
+    if odd is None or tracks.cameras <= least:
+        assert found is not None
+        return found
+    rest = [camera for camera in range(tracks.cameras) if camera != odd]
+    fewer = None if intrinsics is None else intrinsics.select(rest)
+    try:
+        others = _consistent(tracks.select_cameras(rest), settings, fewer, progress)
+    except InsufficientDataError:
+        if found is None:
+            raise reason from None
+        return found
+    if found is not None and not holds_without(others, found):
+        return found
+    return replace(others, findings=(left_out(tracks, odd, others, settings), *others.findings))
+
+
+def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
     clock = [time.perf_counter()]
     tracks, pairs = recorded, pair_table(recorded)
     check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
@@ -81,6 +110,39 @@ def _calibrated(recorded: Tracks, settings, intrinsics, progress: Progress) -> C
     if rough is not None:
         tracks, pairs = _on_one_clock(recorded, rough, known_intrinsics=intrinsics is not None)
     recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
+    geometry = _pair_geometry(tracks, recording, data, settings, intrinsics, progress)
+    pairs = replace(pairs, inliers=geometry.inliers)
+    distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
+    freedom = freedom_of(recording, settings, distortion, intrinsics)
+    lenses = Lenses.of(data, geometry, intrinsics)
+    inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
+    progress("first solution", 0, 1)
+    candidates, stages = starts(inputs, settings.init)
+    progress("first solution", 1, 1)
+    clock.append(time.perf_counter())
+    progress("adjustment", 0, 1)
+    solution = _best_solution(inputs, candidates, settings)
+    refining = Refinement(recorded, tracks, recording, pairs, settings, intrinsics)
+    if rough is not None:
+        solution = refining.in_step(solution, rough)
+    solution = refining.run(solution)
+    progress("adjustment", 1, 1)
+    clock.append(time.perf_counter())
+    explained = solution.settled.judged.kept.sum() / max(inputs.kept.sum(), 1)
+    found = assembled(
+        refining.tracks, refining.recording, solution.settled, solution.freedom, settings, pairs, float(explained)
+    )
+    check_volume(found.points[found.point_valid])
+    return replace(
+        refining.with_offsets(found),
+        stages=(_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled)),
+        seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
+        findings=tuple(given_up(freedom, solution.freedom, found.rig)),
+    )
+
+
+def _pair_geometry(tracks, recording, data, settings, intrinsics, progress: Progress) -> TwoViewGeometry:
+    """Two-view geometry of all pairs, while later programs compile."""
     compiling = WarmUp(recording, data)
     epipolar = settings.epipolar
     if intrinsics is not None:
@@ -92,39 +154,7 @@ def _calibrated(recorded: Tracks, settings, intrinsics, progress: Progress) -> C
         check_geometry(tracks, data, geometry)
     finally:
         compiling.wait()  # also before an error ends the process: a compilation left to itself would abort it
-    pairs = replace(pairs, inliers=geometry.inliers)
-    hold = settings.lens.known == "hold"
-    distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
-    freedom = _freedom(recording, settings, distortion, intrinsics)
-    lenses = Lenses.of(data, geometry, intrinsics)
-    inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
-    progress("first solution", 0, 1)
-    candidates, stages = starts(inputs, settings.init)
-    progress("first solution", 1, 1)
-    clock.append(time.perf_counter())
-    progress("adjustment", 0, 1)
-    settled = _best_settled(inputs, candidates, settings)
-    in_step = None
-    if rough is not None:
-        in_step = brought_in_step(recorded, settled.judged.state, rough, freedom, settings.outliers)
-        settled, recording, tracks = in_step.settled, in_step.recording, in_step.tracks
-    if settings.lens.distortion == "auto" and not hold:
-        rich = _freedom(recording, settings, "brown", intrinsics)
-        settled, freedom, stage = choose_lens(recording, settled, freedom, rich, settings)
-        stages.append(stage)
-        if in_step is not None and freedom is rich:
-            in_step = brought_in_step(recorded, settled.judged.state, in_step.offsets, freedom, settings.outliers)
-            settled, recording, tracks = in_step.settled, in_step.recording, in_step.tracks
-    progress("adjustment", 1, 1)
-    clock.append(time.perf_counter())
-    seconds = {"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]}
-    stages = [_pair_stage(geometry, tracks.names), *stages, _adjustment_stage(settled)]
-    explained = settled.judged.kept.sum() / max(inputs.kept.sum(), 1)
-    found = _calibration(tracks, recording, settled, pairs, stages, seconds, settings.seed, float(explained))
-    parts = (freedom.free, freedom.prior_mean, freedom.prior_weight)
-    loss_scale = 2.0 * settled.sigma_px if settings.outliers.loss == "cauchy" else None
-    found = replace(found, freedom=Freedom(*(part[: tracks.cameras] for part in parts)), loss_scale=loss_scale)
-    return found if in_step is None else _with_offsets(found, recorded, in_step)
+    return geometry
 
 
 def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> np.ndarray:
@@ -153,54 +183,26 @@ def _on_one_clock(recorded: Tracks, rough: np.ndarray, known_intrinsics: bool) -
     return tracks, pairs
 
 
-def _with_offsets(found: Calibration, recorded: Tracks, in_step: InStep) -> Calibration:
-    """The calibration with the offsets that it was made with."""
-    sigma = in_step.unit_sigmas * np.sqrt(variance_px2(found))
-    left_out = int(recorded.visible.sum() - found.tracks.visible.sum())
-    stage = Stage(
-        "Time offsets",
-        {
-            "frames": {
-                name: f"{late:+.3f} ± {sure:.3f}" for name, late, sure in zip(recorded.names, in_step.offsets, sigma)
-            },
-            "observations_left_out_for_want_of_neighbours_in_time": left_out,
-            "rounds": in_step.rounds,
-        },
-    )
-    message = found.message if in_step.still else f"{found.message}; the time offsets did not come to rest"
-    return replace(
-        found,
-        time_offsets=TimeOffsets(in_step.offsets, sigma),
-        stages=(*found.stages, stage),
-        converged=found.converged and in_step.still,
-        message=message,
-    )
-
-
-def _freedom(recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics) -> Freedom:
-    """What may move, and what it is drawn to."""
-    freedom = Freedom.of(recording, settings.lens, distortion, hold=settings.lens.known == "hold")
-    return freedom if intrinsics is None else freedom.around(recording, known_numbers(intrinsics))
-
-
-def _best_settled(inputs: Inputs, candidates: list[Start], settings: CalibrateSettings) -> Settled:
-    """Settle from the best start; where much of what the pairs believe is lost, look at the others too."""
+def _best_solution(inputs: Inputs, candidates: list[Start], settings: CalibrateSettings) -> Solution:
+    """The solution from the best start; where much is lost or the lenses are implausible, from the others too."""
     recording, freedom = inputs.recording, inputs.freedom
     expected = inputs.kept.sum()
     first = grow(recording, candidates[0].state, freedom)
-    best = settle(recording, first, freedom, settings.outliers)
+    best = Solution(settle(recording, first, freedom, settings.outliers), freedom)
     for candidate in candidates[1:]:
-        share = best.judged.kept.sum() / max(expected, 1)
-        if (share >= DOUBTFUL and best.converged) or candidate.cost > HOPELESS * candidates[0].cost:
+        share, plausible = best.settled.judged.kept.sum() / max(expected, 1), best.plausible
+        sound = best.settled.converged and plausible
+        if (share >= DOUBTFUL and sound) or candidate.cost > HOPELESS * candidates[0].cost:
             break
         grown = grow(recording, candidate.state, freedom)
-        if share >= LOST and best.converged and grown.kept.sum() <= PROMISING * first.kept.sum():
+        if share >= LOST and sound and grown.kept.sum() <= PROMISING * first.kept.sum():
             continue
-        other = settle(recording, grown, freedom, settings.outliers)
-        best = other if other.cost < best.cost else best
-    if not best.converged:
-        again = settle(recording, grow(recording, best.judged.state, freedom), freedom, settings.outliers)
-        best = again if again.cost < best.cost else best
+        other = Solution(settle(recording, grown, freedom, settings.outliers), freedom)
+        best = other if better_by(other, best) > 0 else best
+    if not best.settled.converged:
+        grown = grow(recording, best.settled.judged.state, freedom)
+        again = Solution(settle(recording, grown, freedom, settings.outliers), freedom)
+        best = again if better_by(again, best) > 0 else best
     return best
 
 
@@ -227,70 +229,4 @@ def _adjustment_stage(settled: Settled) -> Stage:
             "robust_cost_px2": settled.cost,
             "rounds": settled.rounds,
         },
-    )
-
-
-def _calibration(
-    tracks, recording, settled: Settled, pairs: PairTable, stages, seconds, seed, explained: float
-) -> Calibration:
-    frames, cameras = tracks.frames, tracks.cameras
-    state = centred(settled.judged.state, settled.judged.kept, cameras)
-    pixels, _ = project(state)
-    verdicts = settled.judged.verdicts[:frames, :cameras]
-    known = (settled.judged.errors > 0)[:frames, :cameras]
-    residuals = np.where(known[..., None], pixels[:frames, :cameras] - tracks.pixels, 0.0)
-    valid = (verdicts == Verdict.KEPT).sum(axis=1) >= 2
-    check_volume(state.points[:frames][valid])
-    return Calibration(
-        rig=rig_of(state, tracks),
-        tracks=tracks,
-        points=np.where(valid[:, None], state.points[:frames], 0.0),
-        point_valid=valid,
-        residuals=residuals,
-        verdicts=verdicts,
-        sigma_px=settled.sigma_px,
-        converged=settled.converged and explained >= LOST,
-        message=_message(settled, explained),
-        pairs=pairs,
-        stages=tuple(stages),
-        seconds=seconds,
-        seed=seed,
-    )
-
-
-def _message(settled: Settled, explained: float) -> str:
-    if explained < LOST:
-        return (
-            f"ended in a rig that keeps only {explained:.0%} of the observations on which pairs of cameras agree "
-            f"({LOST:.0%} wanted): it is probably wrong; try another --init or wave the light longer"
-        )
-    if settled.converged:
-        return f"converged after {settled.rounds} rounds: the cost and the believed observations no longer change"
-    return f"stopped after {settled.rounds} rounds without settling"
-
-
-def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
-    """The same rig with the origin amid the light's path and the cameras 1 from their middle (root mean square)."""
-    placed = state.points[kept.sum(axis=1) >= 2]
-    middle = np.median(placed, axis=0) if len(placed) else np.zeros(3)
-    positions = state.positions[:cameras]
-    length = np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean())
-    numbers = state.cameras.copy()
-    numbers[:, 3:6] = (numbers[:, 3:6] + np.einsum("cij,j->ci", state.rotation, middle)) / length
-    return RigState(numbers, state.base, (state.points - middle) / length)
-
-
-def rig_of(state: RigState, tracks: Tracks) -> CameraRig:
-    """The solved cameras as a `CameraRig`."""
-    count = tracks.cameras
-    numbers = state.cameras[:count]
-    focal = np.exp(numbers[:, FOCAL])
-    return CameraRig.from_parameters(
-        np.stack([focal * np.exp(numbers[:, 7]), focal], axis=1),
-        numbers[:, 8:10],
-        numbers[:, 10:15],
-        state.rotation[:count],
-        numbers[:, 3:6],
-        tracks.image_sizes,
-        tracks.names,
     )

@@ -29,6 +29,7 @@ class NormalisedTracks:
     visible: np.ndarray  # (N, C)
     half_diagonals: np.ndarray  # (C,) px
     widths: np.ndarray  # (C,) px
+    pixel_aspects: np.ndarray  # (C,) width over height of a pixel; the points are those of square pixels
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,14 @@ class TwoViewGeometry:
 def normalised(tracks: Tracks, intrinsics: CameraRig | None = None) -> NormalisedTracks:
     """Tracks as the projective stages want them; with known intrinsics already undistorted, of square pixels."""
     half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
+    aspects = np.ones(tracks.cameras) if tracks.pixel_aspects is None else tracks.pixel_aspects
     size = padded_frames(tracks.frames)
     points = np.zeros((size, tracks.cameras, 2))
     visible = np.zeros((size, tracks.cameras), dtype=bool)
     visible[: tracks.frames] = tracks.visible
     if intrinsics is None:
         straight = tracks.pixels - (tracks.image_sizes - 1) / 2.0
+        straight[..., 0] *= aspects
     else:
         pixels, valid = intrinsics.undistort(jnp.asarray(tracks.pixels))
         focal = np.asarray(intrinsics.cameras.focal)
@@ -58,7 +61,7 @@ def normalised(tracks: Tracks, intrinsics: CameraRig | None = None) -> Normalise
         visible[: tracks.frames] &= np.asarray(valid)
     points[: tracks.frames] = straight / half[:, None]
     points = np.where(visible[..., None], points, 0.0)
-    return NormalisedTracks(points, visible, half, tracks.image_sizes[:, 0].astype(float))
+    return NormalisedTracks(points, visible, half, tracks.image_sizes[:, 0].astype(float), aspects)
 
 
 def two_view_geometry(

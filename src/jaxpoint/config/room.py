@@ -66,8 +66,9 @@ class LensSettings:
 
     distortion: Literal["auto", "none", "radial1", "radial2", "brown"] = "auto"
     """`radial2` frees k1 and k2, `brown` also p1, p2, k3; `auto` takes `brown` only where held-out error falls."""
-    aspect: Literal["fixed", "free"] = "fixed"
-    """`fixed`: fx = fy."""
+    aspect: str | float = "auto"
+    """Width over height of a pixel. `auto`: what the video states, else square, and solved for where the recording
+    refutes that; `fixed`: square; `free`: solved for; or a number or fraction, such as 16/15 for PAL video."""
     principal_point: Literal["prior", "fixed", "free"] = "prior"
     """`prior`: drawn to the image centre; holding it there costs 2 to 35 times in camera position."""
     principal_point_sigma: Positive = 0.05
@@ -108,6 +109,10 @@ class CalibrateSettings:
     min_kept: Fraction = 0.7
     """Quality gate: a smaller fraction of kept observations fails the calibration; those of frames that only one
     camera saw do not count."""
+    max_focal_sigma: Positive = 0.1
+    """Quality gate: a focal length known worse than this (one standard deviation, relative) fails the calibration."""
+    max_expected_error: Positive = 0.05
+    """Quality gate: so does a larger error to be expected of the light's points, as a share of their extent."""
     seed: Count = 0
     """Seed of everything drawn at random; the same seed gives the same calibration."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
@@ -47,6 +47,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         "undetermined": calibration.undetermined,
         "pairs": asdict(calibration.pairs),
         "stages": [asdict(stage) for stage in calibration.stages],
+        "findings": [asdict(finding) for finding in calibration.findings],
         "alignment": None if calibration.alignment is None else _alignment_fields(calibration.alignment),
     }
     with replacing(folder / "result.npz") as file:
@@ -97,6 +98,7 @@ def load_result(folder: Path) -> Calibration:
         seed=about["seed"],
         freedom=freedom,
         loss_scale=about.get("loss_scale"),
+        findings=tuple(Finding(**(f | {"cameras": tuple(f["cameras"])})) for f in about.get("findings", [])),
     )
 
 

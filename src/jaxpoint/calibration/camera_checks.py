@@ -1,0 +1,120 @@
+"""Every camera by itself: what is kept of its observations, when, and whether its residuals follow the light's motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.calibration.contradiction import LEAST_KEPT, kept_shares
+from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, NormalEquations
+from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.config import CalibrateSettings
+
+STRETCHES = 10  # equal parts of the recording
+DEAD, ALIVE = 0.3, 0.85  # kept in a stretch: the camera does not fit there, it does elsewhere
+FEWEST = 15  # observations of a stretch that tell something
+SURE = 6.0  # sigmas of a time offset (cameras in step come to 4, simulated or real)
+NOTABLE, LARGE = 0.1, 0.5  # frames: worth a word, and no longer a calibration (residuals give lower bounds)
+
+
+def camera_findings(
+    calibration: Calibration, settings: CalibrateSettings, normal: NormalEquations | None
+) -> Iterator[Finding]:
+    """What single cameras say against the calibration."""
+    yield from _kept(calibration, settings)
+    yield from _stretches(calibration)
+    if normal is not None and calibration.freedom is not None:
+        yield from _clocks(calibration, normal)
+
+
+def _kept(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Finding]:
+    shares, names = kept_shares(calibration), calibration.tracks.names
+    for camera in np.flatnonzero(shares < max(settings.min_kept, LEAST_KEPT)):
+        name = names[camera]
+        yield Finding(
+            "contradicting camera",
+            "bad" if shares[camera] < LEAST_KEPT else "care",
+            f"Camera {name} contradicts the others: {shares[camera]:.0%} of its observations fit.",
+            f"Look whether {name} is late or runs at another rate (`jaxpoint check`), is mirrored, shows reflections "
+            f"(mask them) or was moved; or leave it out (--leave-out {name})",
+            (name,),
+        )
+
+
+def _stretches(calibration: Calibration) -> Iterator[Finding]:
+    """Cameras that fit for one part of the recording only."""
+    frames = calibration.tracks.frames
+    part = np.minimum(np.arange(frames) * STRETCHES // max(frames, 1), STRETCHES - 1)
+    for camera, name in enumerate(calibration.tracks.names):
+        tested, kept = calibration.comparable[:, camera], calibration.kept[:, camera]
+        count = np.bincount(part[tested], minlength=STRETCHES)
+        share = np.bincount(part[kept], minlength=STRETCHES) / np.maximum(count, 1)
+        told = count >= FEWEST
+        dead = told & (share < DEAD)
+        if not dead.any() or np.median(share[told & ~dead], axis=0, keepdims=True).min(initial=0.0) < ALIVE:
+            continue
+        rows = np.flatnonzero(np.isin(part, np.flatnonzero(dead)))
+        ids = calibration.tracks.frame_ids
+        yield Finding(
+            "camera moved",
+            "bad" if dead.sum() >= 2 else "care",
+            f"Camera {name} fits no other between frames {ids[rows[0]]} and {ids[rows[-1]]}, and does elsewhere: it was "
+            "moved, or its recording was interrupted.",
+            f"Leave out that part of the recording, or camera {name} (--leave-out {name})",
+            (name,),
+        )
+
+
+def _clocks(calibration: Calibration, normal: NormalEquations) -> Iterator[Finding]:
+    """Residuals that follow the light's motion: late cameras, other rates, rolling shutters."""
+    assert calibration.freedom is not None
+    solved = () if calibration.time_offsets is None else (OFFSET,)
+    try:
+        step = normal.solve(calibration.freedom.at_noise(calibration.sigma_px), extra=(OFFSET, DRIFT, ROWS))
+    except np.linalg.LinAlgError:
+        return
+    for column in (OFFSET, DRIFT, ROWS):
+        values, sigmas = against_median(step.change[:, column], step.sigmas[:, column])
+        sure = (np.abs(values) > SURE * sigmas) & (np.abs(values) > NOTABLE)
+        if sure.any() and column not in solved:
+            worst = int(np.where(sure, np.abs(values), 0.0).argmax())
+            yield _late(calibration.tracks.names[worst], column, float(values[worst]))
+
+
+def against_median(
+    values: Float[np.ndarray, " C"], sigmas: Float[np.ndarray, " C"]
+) -> tuple[Float[np.ndarray, " C"], Float[np.ndarray, " C"]]:
+    """Offsets against the median camera rather than the first, which has none of its own."""
+    sigmas = np.where(sigmas > 0, sigmas, np.median(sigmas[sigmas > 0]) if (sigmas > 0).any() else np.inf)
+    return values - np.median(values), sigmas
+
+
+def _late(name: str, column: int, frames: float) -> Finding:
+    level = "bad" if abs(frames) > LARGE and column != ROWS else "care"
+    if column == ROWS:
+        return Finding(
+            "rolling shutter",
+            "care",
+            f"The residuals of camera {name} follow the image row: its last row is read {abs(frames):.2f} frames "
+            f"{'after' if frames > 0 else 'before'} its first (a rolling shutter).",
+            "Wave the light more slowly, or use a shorter read-out (a global shutter is best)",
+            (name,),
+        )
+    if column == DRIFT:
+        return Finding(
+            "frame rate",
+            level,
+            f"Camera {name} runs at another rate than the others: it drifts by {abs(frames):.2f} frames or more over "
+            "the recording.",
+            "`jaxpoint check` finds the rate (--rate), or mend the synchronisation",
+            (name,),
+        )
+    return Finding(
+        "out of step",
+        level,
+        f"Camera {name} shows the light {abs(frames):.2f} frames or more {'late' if frames > 0 else 'early'}.",
+        "Calibrate with --time-offsets, which solves for it, or mend the synchronisation",
+        (name,),
+    )

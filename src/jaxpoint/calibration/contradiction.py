@@ -1,0 +1,163 @@
+"""A camera that the others contradict: found by what is left of its observations, and why it does not fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.config import CalibrateSettings
+from jaxpoint.tracks import Tracks
+
+LEAST_KEPT = 0.6  # of a camera's observations, where two others saw the light too (random rooms keep 0.8 or more)
+APART = 0.2  # by which it keeps less than the others do, by their median
+FITS = 0.7  # share of inliers at which a projection explains a camera's pixels
+LEAST_ROWS = 20  # observations that tell something
+SAMPLES = 300  # of six points
+NEAR_PX = 10.0  # of the linear projection, at an image width of 1280: lens distortion is left out
+
+
+def kept_shares(calibration: Calibration) -> Float[np.ndarray, " C"]:
+    """Inliers of every camera over its observations in frames of three views or more (of two, where those are few)."""
+    visible, kept = calibration.tracks.visible, calibration.kept
+    tested = visible & (visible.sum(axis=1) >= 3)[:, None]
+    tested = np.where(tested.sum(axis=0) >= LEAST_ROWS, tested, calibration.comparable)
+    return (kept & tested).sum(axis=0) / np.maximum(tested.sum(axis=0), 1)
+
+
+def contradicted_camera(calibration: Calibration) -> int | None:
+    """The camera most of whose observations the others reject, or that no pair explains; None where all fit."""
+    shares = kept_shares(calibration)
+    worst = int(shares.argmin())
+    if shares[worst] < LEAST_KEPT and shares[worst] < np.median(np.delete(shares, worst)) - APART:
+        return worst
+    return None if calibration.converged else _suspect(calibration)
+
+
+def _suspect(calibration: Calibration) -> int | None:
+    """The camera whose best pair of views agrees far less than those of the others."""
+    inliers = calibration.pairs.inliers
+    if inliers is None:
+        return None
+    shared = calibration.pairs.shared * (1 - np.eye(len(inliers), dtype=int))
+    best = np.where(shared >= LEAST_ROWS, inliers / np.maximum(shared, 1), 0.0).max(axis=1)
+    worst = int(best.argmin())
+    return worst if best[worst] < FITS * np.median(np.delete(best, worst)) else None
+
+
+def holds_without(others: Calibration, everything: Calibration) -> bool:
+    """Whether the rig without a camera is better than the one with it."""
+    names = everything.tracks.names
+    places = [names.index(name) for name in others.tracks.names]
+    before, after = kept_shares(everything)[places], kept_shares(others)
+    return bool(after.min() >= LEAST_KEPT and after.mean() >= before.mean() - 0.02)
+
+
+def left_out(tracks: Tracks, camera: int, others: Calibration, settings: CalibrateSettings) -> Finding:
+    """Why a camera was left out of a rig that holds without it."""
+    name = tracks.names[camera]
+    cause, why, remedy = _reason(tracks, camera, others, settings)
+    return Finding(
+        cause,
+        "bad",
+        f"Camera {name} contradicts the others and was left out; the calibration of the other "
+        f"{len(others.rig)} is kept. {why}",
+        f"{remedy}, or leave it out for good (--leave-out {name}).",
+        (name,),
+    )
+
+
+def _reason(tracks: Tracks, camera: int, others: Calibration, settings) -> tuple[str, str, str]:
+    name = tracks.names[camera]
+    usable = tracks.visible[:, camera] & others.point_valid
+    points, pixels = others.points[usable], tracks.pixels[usable, camera]
+    near = NEAR_PX * float(tracks.image_sizes[camera, 0]) / 1280.0
+    if len(points) < LEAST_ROWS:
+        return (
+            "shares too little",
+            f"It shares {len(points)} frames with them.",
+            f"Wave the light longer where {name} and two others see it",
+        )
+    found = fit_projection(points, pixels, near, settings.seed)
+    if found.share >= FITS and found.mirrored:
+        return (
+            "mirrored images",
+            f"Its images are mirrored: {found.share:.0%} of its observations fit a camera with left and right "
+            "exchanged.",
+            f"Record {name} without the mirror or flip, or flip its images",
+        )
+    half = len(points) // 2
+    parts = [
+        fit_projection(points[some], pixels[some], near, settings.seed) for some in (slice(half), slice(half, None))
+    ]
+    if found.share < FITS and min(part.share for part in parts) >= FITS:
+        return (
+            "camera moved",
+            "It was moved during the recording: each half by itself fits one camera, "
+            f"{parts[0].share:.0%} and {parts[1].share:.0%}, both together do not ({found.share:.0%}).",
+            f"Keep the part of the recording before or after {name} was touched",
+        )
+    if found.share >= FITS:
+        return (
+            "contradicting camera",
+            f"{found.share:.0%} of its observations fit a camera of its own that the adjustment did not reach.",
+            "Wave the light longer where it and the others see it",
+        )
+    return (
+        "contradicting camera",
+        f"No more than {found.share:.0%} of its observations fit any one camera: it shows another light, another room, "
+        "or other moments than the others.",
+        f"Check what {name} recorded and when (`jaxpoint check` looks for late cameras and other rates)",
+    )
+
+
+class Projection:
+    """A projection matrix fitted to points and pixels, outliers and all."""
+
+    def __init__(self, matrix: Float[np.ndarray, "3 4"], inliers: Bool[np.ndarray, " N"], depths: np.ndarray):
+        self.share = float(inliers.mean())
+        turned = (
+            np.linalg.det(matrix[:, :3]) * (1.0 if np.median(depths[inliers]) > 0 else -1.0) if inliers.any() else 1.0
+        )
+        self.mirrored = bool(turned < 0)  # the points lie before it only if its axes are left-handed
+
+
+def fit_projection(
+    points: Float[np.ndarray, "N 3"], pixels: Float[np.ndarray, "N 2"], near_px: float, seed: int
+) -> Projection:
+    """The linear projection with which most observations agree (direct linear transform on random samples)."""
+    rng = np.random.default_rng(seed)
+    rows = _linear_rows(points, pixels)
+    samples = rng.integers(0, len(points), (SAMPLES, 6))
+    matrices = np.linalg.svd(rows[samples].reshape(SAMPLES, 12, 12))[2][:, 11]
+    errors = np.stack([_errors(matrix.reshape(3, 4), points, pixels)[0] for matrix in matrices])
+    best = errors[(errors < near_px).sum(axis=1).argmax()] < near_px
+    for _ in range(3):
+        if best.sum() < 6:
+            break
+        matrix = np.linalg.svd(rows[best].reshape(-1, 12), full_matrices=False)[2][11].reshape(3, 4)
+        best = _errors(matrix, points, pixels)[0] < near_px
+    else:
+        return Projection(matrix, best, _errors(matrix, points, pixels)[1])
+    return Projection(np.eye(3, 4), np.zeros(len(points), bool), np.ones(len(points)))
+
+
+def _linear_rows(points: np.ndarray, pixels: np.ndarray) -> Float[np.ndarray, "N 2 12"]:
+    """Of every observation, the two equations of the transform; pixels in thousands for the conditioning."""
+    x = np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    u = pixels / 1000.0
+    zero = np.zeros_like(x)
+    return np.stack(
+        [
+            np.concatenate([x, zero, -u[:, :1] * x], axis=1),
+            np.concatenate([zero, x, -u[:, 1:] * x], axis=1),
+        ],
+        axis=1,
+    )
+
+
+def _errors(matrix: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance of every projection (px) and the third coordinate, of the sign of a depth."""
+    mapped = points @ matrix[:, :3].T + matrix[:, 3]
+    third = np.where(np.abs(mapped[:, 2]) < 1e-12, 1e-12, mapped[:, 2])
+    return np.linalg.norm(1000.0 * mapped[:, :2] / third[:, None] - pixels, axis=1), mapped[:, 2]

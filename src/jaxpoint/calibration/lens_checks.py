@@ -1,0 +1,128 @@
+"""Does the lens model hold over the whole of each image? Rejections and residuals over the radius say so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxpoint.calibration.result import Calibration, Finding
+
+RINGS = 10  # of equal width, from the principal point to half an image diagonal
+ENOUGH = 25  # observations that a ring needs
+LOST = 0.5  # of a ring's observations kept: where fewer are, the lens model has ended
+MOST_LOST = 0.05  # of all observations lost there: the rig bends to the lens (150 degrees: 0.11, 120 degrees: 0.02)
+HELD = 0.85  # kept within, as it must be for the radius to be the cause
+WAVY = 0.5  # rms of the mean radial residual over the noise: the model does not describe the lens
+SIGNIFICANT = 25.0  # chi-square a ring of these means
+
+
+@dataclass(frozen=True)
+class LensProfile:
+    """Observations over their distance from the principal point; C cameras, RINGS rings."""
+
+    edges: Float[np.ndarray, " R1"]  # of the rings, in half diagonals
+    count: Int[np.ndarray, "C R"]
+    kept: Int[np.ndarray, "C R"]
+    mean: Float[np.ndarray, "C R"]  # px, radial residual of the inliers, outwards
+    square: Float[np.ndarray, "C R"]  # px^2, mean square of the radial residual
+
+
+def lens_profile_of(calibration: Calibration) -> LensProfile:
+    """Counts and mean radial residuals of every camera, ring by ring."""
+    tracks = calibration.tracks
+    away = tracks.pixels - np.asarray(calibration.rig.cameras.center)
+    distance = np.linalg.norm(away, axis=-1)
+    half = np.hypot(*tracks.image_sizes.T) / 2.0
+    outwards = (calibration.residuals * away).sum(axis=-1) / np.maximum(distance, 1e-9)
+    edges = np.linspace(0.0, 1.0, RINGS + 1)
+    ring = np.clip((distance / half * RINGS).astype(int), 0, RINGS - 1)
+    tested = calibration.comparable & (tracks.visible.sum(axis=1) >= 3)[:, None]
+    shape = (tracks.cameras, RINGS)
+
+    def summed(chosen: np.ndarray, values: np.ndarray) -> np.ndarray:
+        total = np.zeros(shape)
+        rows, cameras = np.nonzero(chosen)
+        np.add.at(total, (cameras, ring[rows, cameras]), values[rows, cameras])
+        return total
+
+    ones, kept = np.ones_like(distance), calibration.kept
+    inliers = summed(kept, ones)
+    safe = np.maximum(inliers, 1)
+    return LensProfile(
+        edges,
+        summed(tested, ones).astype(int),
+        summed(kept & tested, ones).astype(int),
+        summed(kept, outwards) / safe,
+        summed(kept, outwards**2) / safe,
+    )
+
+
+def lens_findings(calibration: Calibration) -> Iterator[Finding]:
+    """Lenses that the model does not reach, or does not describe."""
+    if not calibration.sigma_px > 0:
+        return
+    profile, names = lens_profile_of(calibration), calibration.tracks.names
+    ends = _ends(profile)
+    if np.isfinite(ends).any():
+        shown = tuple(name for name, end in zip(names, ends) if np.isfinite(end))
+        end = float(ends[np.isfinite(ends)].min())
+        beyond = profile.edges[:-1] >= ends[:, None] - 1e-9
+        lost = (profile.count - profile.kept)[beyond].sum() / max(profile.count.sum(), 1)
+        yield Finding(
+            "lens model",
+            "bad" if lost > MOST_LOST else "care",
+            f"The lens model does not reach the edge of the image: beyond {end:.0%} of the half diagonal most "
+            f"observations of {', '.join(shown)} are rejected, within it they fit. The lens is wider than the model "
+            "can describe.",
+            "Use a lens of less than about 100 degrees, or known lenses; places beyond that radius are not to be used",
+            shown,
+        )
+    wave = waviness(profile, calibration.sigma_px)
+    wavy = tuple(name for name, value in zip(names, wave) if value > WAVY)
+    if wavy:
+        yield Finding(
+            "lens model",
+            "bad" if wave.max() > 2 * WAVY else "care",
+            f"The residuals of {', '.join(wavy)} follow the distance from the image centre, by "
+            f"{wave.max() * calibration.sigma_px:.2f} px (rms): the lens model does not describe this lens.",
+            "Allow more terms (--lens.distortion brown); a lens of more than 100 degrees needs another model",
+            wavy,
+        )
+
+
+def waviness(profile: LensProfile, sigma_px: float) -> Float[np.ndarray, " C"]:
+    """Rms of the mean radial residual over the rings, in sigmas, noise taken off; 0 where it is not significant."""
+    inliers = np.where(profile.square > 0, np.maximum(profile.count, 1), 0)
+    used = inliers >= ENOUGH
+    variance = np.maximum(profile.square - profile.mean**2, 1e-12) / np.maximum(inliers, 1)
+    chi = np.where(used, profile.mean**2 / variance, 0.0).sum(axis=1)
+    rings = np.maximum(used.sum(axis=1), 1)
+    wave = np.sqrt(np.maximum(np.where(used, profile.mean**2 - variance, 0.0).sum(axis=1) / rings, 0.0))
+    return np.where(chi > SIGNIFICANT * rings, wave / sigma_px, 0.0)
+
+
+def lens_reach(calibration: Calibration) -> Float[np.ndarray, " C"]:
+    """Pixels from the principal point up to which the recording confirms each lens; infinite where it never ends."""
+    return np.hypot(*calibration.tracks.image_sizes.T) / 2.0 * _ends(lens_profile_of(calibration))
+
+
+def _ends(profile: LensProfile) -> Float[np.ndarray, " C"]:
+    """Where each lens model ends, in half diagonals; where single cameras have too little there, all of them together."""
+    ends = np.array([_end(count, kept) for count, kept in zip(profile.count, profile.kept)])
+    if np.isfinite(ends).any():
+        return ends
+    return np.full(len(ends), _end(profile.count.sum(axis=0), profile.kept.sum(axis=0)))
+
+
+def _end(count: Int[np.ndarray, " R"], kept: Int[np.ndarray, " R"]) -> float:
+    """The radius (half diagonals) beyond which most observations are lost while within they are kept, or infinity."""
+    for ring in range(1, RINGS):
+        outer, inner = slice(ring, None), slice(0, ring)
+        if count[outer].sum() < ENOUGH or count[inner].sum() < ENOUGH:
+            continue
+        if kept[outer].sum() < LOST * count[outer].sum() and kept[inner].sum() > HELD * count[inner].sum():
+            return ring / RINGS
+    return float("inf")

@@ -1,0 +1,153 @@
+"""The normal equations of a calibration at its solution: what another choice of free parameters would change.
+
+One pass over the inliers gives them for every parameter of every camera, free or held, and for a time offset. Each
+question ("are this camera's pixels square?", "what if the lenses were known?") is then one small linear solve: the
+score test (Rao 1948) and the covariance under that choice, points eliminated as in `uncertainty`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.linalg import cho_factor, cho_solve
+
+from jaxpoint.calibration.bundle import FOCAL, SIZE
+from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.recording import Freedom
+from jaxpoint.calibration.result import Calibration
+from jaxpoint.calibration.sight import covariance_of_points, cross_terms, derivatives
+from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, variance_px2
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.motion import motion
+from jaxpoint.tracks import Tracks
+
+OFFSET, DRIFT, ROWS = SIZE, SIZE + 1, SIZE + 2
+"""The last columns, none of them solved for by `calibrate`: frames by which a camera shows the light late, by how many
+more at the end of the recording than at its start, and by how many more in the last image row than in the first."""
+COLUMNS = SIZE + 3
+BLOCK = 1024  # points at once
+
+
+@dataclass(frozen=True)
+class Step:
+    """The Gauss-Newton step under one choice of free parameters, and the covariance there."""
+
+    change: Float[np.ndarray, "C 18"]
+    covariance: Float[np.ndarray, "D D"]  # D = 18 C; zero where held
+    gain: float  # predicted fall of the cost in variances: chi-square, one degree of freedom a freed parameter
+
+    @property
+    def sigmas(self) -> Float[np.ndarray, "C 18"]:
+        """One standard deviation of every parameter; of camera parameters in some frame, of lens parameters in any."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(self.change.shape)
+
+    def block(self, camera: int, columns: slice) -> Float[np.ndarray, "n n"]:
+        """The covariance of some parameters of one camera."""
+        start = camera * COLUMNS
+        some = slice(start + columns.start, start + columns.stop)
+        return self.covariance[some, some]
+
+
+@dataclass(frozen=True)
+class NormalEquations:
+    """J^T W J and J^T W r with the points eliminated, in px^2; 15 parameters as `bundle` orders them, then the extra columns."""
+
+    matrix: Float[np.ndarray, "D D"]
+    gradient: Float[np.ndarray, " D"]
+    gauge: Float[np.ndarray, "D 7"]  # directions in which a similarity moves the cameras
+    parameters: Float[np.ndarray, "C 15"]  # where the solution stands; the poses as zeros
+    variance: float  # px^2, by which the inverse is to be scaled
+
+    def solve(self, freedom: Freedom, extra: tuple[int, ...] = ()) -> Step:
+        """The step and covariance when these parameters are free, under these priors (weighed for this noise).
+
+        Args:
+            extra: which of the extra columns are free too, in all cameras but the first, which is the clock.
+
+        Raises:
+            LinAlgError: the observations leave more than a similarity open.
+        """
+        cameras = len(self.parameters)
+        free, weight = np.zeros((cameras, COLUMNS), bool), np.zeros((cameras, COLUMNS))
+        free[:, :SIZE], weight[:, :SIZE] = freedom.free, np.where(freedom.free, freedom.prior_weight, 0.0)
+        free[1:, list(extra)] = True
+        pull = weight[:, :SIZE] * (self.parameters - freedom.prior_mean)
+        gradient = self.gradient.reshape(free.shape) + np.pad(pull, ((0, 0), (0, COLUMNS - SIZE)))
+        chosen = np.flatnonzero(free)
+        matrix = self.matrix[np.ix_(chosen, chosen)] + np.diag(weight.ravel()[chosen])
+        inverse = _inverse(matrix, self.gauge[chosen])
+        change, covariance = np.zeros(free.size), np.zeros((free.size, free.size))
+        change[chosen] = -inverse @ gradient.ravel()[chosen]
+        covariance[np.ix_(chosen, chosen)] = self.variance * inverse
+        gain = -float(gradient.ravel() @ change) / self.variance
+        return Step(change.reshape(free.shape), covariance, gain)
+
+
+def _inverse(matrix: np.ndarray, gauge: np.ndarray) -> np.ndarray:
+    """Inverse but for the gauge directions."""
+    scale = np.sqrt(np.maximum(np.diagonal(matrix), 1e-300))
+    open_directions, _ = np.linalg.qr(gauge * scale[:, None])
+    root = cho_factor(matrix / np.outer(scale, scale) + open_directions @ open_directions.T, check_finite=False)
+    return cho_solve(root, np.eye(len(scale)), check_finite=False) / np.outer(scale, scale)
+
+
+def normal_equations(calibration: Calibration) -> NormalEquations:
+    """The normal equations of the inliers of a calibration as `calibrate` returned it. Plain numpy, float64."""
+    rig, tracks = calibration.rig, calibration.tracks
+    cameras = len(rig)
+    seen = calibration.kept & calibration.point_valid[:, None]
+    late = _late(tracks, motion(tracks.pixels, seen, tracks.frame_ids).velocity)
+    square = (calibration.residuals**2).sum(axis=-1)
+    loss = np.inf if calibration.loss_scale is None else calibration.loss_scale
+    weights = np.where(seen, 1.0 / (1.0 + square / loss**2), 0.0)
+    matrix, gradient = np.zeros((cameras * COLUMNS, cameras * COLUMNS)), np.zeros(cameras * COLUMNS)
+    for start in range(0, tracks.frames, BLOCK):
+        some = slice(start, start + BLOCK)
+        part, slope = _eliminated(
+            rig, calibration.points[some], seen[some], weights[some], late[some], calibration.residuals[some]
+        )
+        matrix, gradient = matrix + part, gradient + slope
+    parameters = np.zeros((cameras, SIZE))
+    parameters[:, FOCAL:] = known_numbers(rig)
+    gauge = np.zeros((cameras, COLUMNS, FREEDOMS))
+    gauge[:, :SIZE] = camera_ways(rig)
+    mean_weight = weights[seen].mean() if seen.any() else 1.0
+    variance = variance_px2(calibration) * mean_weight
+    return NormalEquations(matrix, gradient, gauge.reshape(-1, FREEDOMS), parameters, variance)
+
+
+def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndarray, "F C 2 3"]:
+    """Derivatives of the residuals by the extra columns: a late observation moves on along its velocity."""
+    ids = tracks.frame_ids.astype(float)
+    through = (ids - ids.mean()) / max(float(np.ptp(ids)), 1.0)
+    down = tracks.pixels[..., 1] / tracks.image_sizes[:, 1] - 0.5
+    factors = np.stack([np.ones_like(down), np.broadcast_to(through[:, None], down.shape), down], axis=-1)
+    return -velocity[..., None] * factors[:, :, None]
+
+
+def _eliminated(
+    rig: CameraRig,
+    points: Float[np.ndarray, "B 3"],
+    seen: Bool[np.ndarray, "B C"],
+    weights: Float[np.ndarray, "B C"],
+    late: Float[np.ndarray, "B C 2 3"],
+    residuals: Float[np.ndarray, "B C 2"],
+) -> tuple[Float[np.ndarray, "D D"], Float[np.ndarray, " D"]]:
+    """What some points add to the matrix and to the gradient."""
+    by_camera, by_point = derivatives(rig, points, seen)
+    root = np.sqrt(weights)[..., None, None]
+    late = np.where(seen[..., None, None], late, 0.0)
+    by_camera, by_point = np.concatenate([by_camera, late], axis=-1) * root, by_point * root
+    left = residuals * root[..., 0]
+    own, cross = covariance_of_points(by_point, seen), cross_terms(by_camera, by_point)
+    pull = np.einsum("bcij,bci->bj", by_point, left)
+    moved = own @ cross
+    matrix = -cross.reshape(-1, cross.shape[2]).T @ moved.reshape(-1, cross.shape[2])
+    gradient = np.einsum("bcip,bci->cp", by_camera, left).ravel() - np.einsum("bid,bi->d", moved, pull)
+    count = seen.shape[1]
+    blocks = np.einsum("bcip,bciq->cpq", by_camera, by_camera, optimize=True)
+    each = np.arange(count)
+    matrix.reshape(count, COLUMNS, count, COLUMNS)[each, :, each] += blocks
+    return matrix, gradient

@@ -1,0 +1,208 @@
+"""Priors that the recording refutes: images that were cropped, pixels that are not square.
+
+The prior on a principal point stands for images that nobody cropped, and a fixed aspect for square pixels. Where the
+observations contradict one (a score test on the normal equations says so without solving anything), the camera's prior
+is given up, the rig is solved again, and the solution with the better objective stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import chi2
+
+from jaxpoint.calibration.aspects import aspect_patterns
+from jaxpoint.calibration.assembly import assembled
+from jaxpoint.calibration.bundle import ASPECT, CENTER
+from jaxpoint.calibration.normal import NormalEquations, normal_equations
+from jaxpoint.calibration.objective import Solution, better_by, solve_with
+from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState
+from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.config import CalibrateSettings
+from jaxpoint.tracks import Tracks
+
+REFUTED = 3.0  # sigmas (from the issue of a wrong prior: the field's usual bound)
+CHANCE = 1e-4  # of a joint test; 0 of 31 random rooms came below (they reach 0.02)
+FREE_CENTER = 0.5  # of the image width: sigma of a principal point whose prior was given up
+FREE_ASPECT = 0.3  # sigma of a log aspect that is free: beyond the widest standard, 64/45
+LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
+WORTH = 9.0  # least fall of the objective for a prior to be given up: 3 sigmas
+WORTH_EACH = 2.0  # and for every parameter that this frees (Akaike 1974)
+PATTERN_WORSE = 12.0  # a pattern of standard aspects may be worse by so much than free aspects, which fit noise too
+PATTERN_MARGIN = 6.0  # and must lead the next pattern by so much: 20 to 1
+ROUNDS = 3  # one prior after the other
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What the score tests say of the priors as they are."""
+
+    centers: Float[np.ndarray, " C"]  # sigmas by which each camera's principal point contradicts its prior
+    centers_chance: float  # of all of them together
+    aspects_chance: float  # of the fall of the cost if every pixel aspect were free
+
+    @property
+    def refuted(self) -> Bool[np.ndarray, " C"]:
+        """Cameras whose prior on the principal point is given up; all where only their sum contradicts."""
+        alone = self.centers > REFUTED
+        return alone if alone.any() or self.centers_chance >= CHANCE else np.ones_like(alone)
+
+    @property
+    def any_center(self) -> bool:
+        """Whether some prior on a principal point is contradicted."""
+        return bool((self.centers > REFUTED).any()) or self.centers_chance < CHANCE
+
+
+def doubts_of(calibration: Calibration, normal: NormalEquations | None = None) -> Doubts | None:
+    """Score tests of the priors of a calibration; None where nothing can be said (no free prior, or no normal form)."""
+    if calibration.freedom is None or not calibration.sigma_px > 0:
+        return None
+    normal = normal or normal_equations(calibration)
+    freedom = calibration.freedom.at_noise(calibration.sigma_px)
+    try:
+        centers, chance = _center_tests(normal, freedom, calibration)
+        aspects = _aspect_chance(normal, freedom, calibration.sigma_px)
+    except np.linalg.LinAlgError:
+        return None
+    return Doubts(centers, chance, aspects)
+
+
+def _center_tests(normal, freedom: Freedom, calibration: Calibration) -> tuple[np.ndarray, float]:
+    """Of every camera: where its principal point would go without its prior, against that prior's own width."""
+    cameras = len(calibration.rig)
+    if not freedom.free[:, CENTER].any():
+        return np.zeros(cameras), 1.0
+    widths = np.asarray(calibration.rig.image_sizes)[:, 0]
+    loose = with_free_centers(freedom, np.ones(cameras, bool), widths, calibration.sigma_px)
+    step = normal.solve(loose)
+    away = normal.parameters[:, CENTER] - freedom.prior_mean[:, CENTER] + step.change[:, CENTER]
+    squares = np.zeros(cameras)
+    for c in range(cameras):
+        if (freedom.prior_weight[c, CENTER] > 0).all():
+            prior = np.diag(calibration.sigma_px**2 / freedom.prior_weight[c, CENTER])
+            squares[c] = away[c] @ np.linalg.solve(step.block(c, CENTER) + prior, away[c])
+    return np.sqrt(squares), float(chi2.sf(squares.sum(), 2 * cameras))
+
+
+def _aspect_chance(normal, freedom: Freedom, sigma_px: float) -> float:
+    held = ~freedom.free[:, ASPECT]
+    if not held.any() or not freedom.free[:, CENTER.stop - 1].any():
+        return 1.0
+    step = normal.solve(with_free_aspects(freedom, held, sigma_px))
+    if np.abs(step.change[:, ASPECT]).max() < LEAST_ASPECT:
+        return 1.0  # an imperfect lens model asks for odd aspects too (real recordings: up to 0.02)
+    return float(chi2.sf(step.gain, int(held.sum())))
+
+
+def with_free_centers(freedom: Freedom, chosen: np.ndarray, widths: np.ndarray, noise_px: float = NOISE_PX) -> Freedom:
+    """The freedom with hardly a prior on the principal points of some cameras."""
+    weight = freedom.prior_weight.copy()
+    some = np.flatnonzero(chosen)
+    weight[some, CENTER] = ((noise_px / (FREE_CENTER * widths[some])) ** 2)[:, None]
+    return Freedom(freedom.free, freedom.prior_mean, weight)
+
+
+def with_free_aspects(freedom: Freedom, chosen: np.ndarray, noise_px: float = NOISE_PX) -> Freedom:
+    """The freedom with the pixel aspects of some cameras unknown."""
+    free, weight = freedom.free.copy(), freedom.prior_weight.copy()
+    some = np.flatnonzero(chosen)
+    free[some, ASPECT], weight[some, ASPECT] = True, (noise_px / FREE_ASPECT) ** 2
+    return Freedom(free, freedom.prior_mean, weight)
+
+
+@dataclass(frozen=True)
+class PriorChoice:
+    """Solves with other priors where the recording asks for it."""
+
+    recording: Recording
+    tracks: Tracks
+    pairs: PairTable
+    settings: CalibrateSettings
+
+    def choose(self, solution: Solution) -> tuple[Solution, tuple[Stage, ...]]:
+        """The better solution, and the trials for the report."""
+        stages: list[Stage] = []
+        for _ in range(ROUNDS):
+            calibration = self._assembled(solution)
+            doubts = doubts_of(calibration)
+            trials = [] if doubts is None else list(self._trials(solution, doubts))
+            if not trials:
+                break
+            gains = [better_by(trial, solution) - _price(trial, solution) for trial in trials]
+            stages.append(self._stage(doubts, trials, solution))
+            if max(gains) < WORTH:
+                break
+            best = trials[int(np.argmax(gains))]
+            if best.freedom.free[:, ASPECT].any():
+                best = self._standard(best)
+            if not doubts.any_center and best.freedom.free[:, ASPECT].any():
+                break  # lenses that no model describes ask for odd aspects too (strawlab2010: 0.95)
+            solution = best
+        return solution, tuple(stages)
+
+    def _trials(self, solution: Solution, doubts: Doubts) -> Iterator[Solution]:
+        """Solutions without the priors that are in doubt."""
+        real = self.recording.exists
+        freedom, state = solution.freedom, solution.settled.judged.state
+        if doubts.any_center and self.settings.lens.principal_point == "prior":
+            chosen = np.zeros_like(real)
+            chosen[: len(doubts.refuted)] = doubts.refuted
+            yield self._solved(state, with_free_centers(freedom, chosen, self.recording.image_sizes[:, 0]))
+        held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
+        doubted = doubts.any_center or doubts.aspects_chance < CHANCE
+        if doubted and self.settings.lens.aspect == "auto" and held.any():
+            yield self._solved(state, with_free_aspects(freedom, held))
+
+    def _solved(self, state: RigState, freedom: Freedom) -> Solution:
+        return solve_with(self.recording, state, freedom, self.settings.outliers)
+
+    def _standard(self, free: Solution) -> Solution:
+        """Standard aspects where one pattern of them fits as well as free ones and no other does."""
+        cameras = self.recording.cameras
+        found = np.exp(-free.settled.judged.state.cameras[:cameras, ASPECT])
+        patterns = aspect_patterns(found)
+        tried = [self._with_aspects(free, pattern) for pattern in patterns]
+        worse = np.array([-better_by(trial, free) for trial in tried])
+        if not len(worse):
+            return free
+        order = np.argsort(worse)
+        alone = len(order) == 1 or worse[order[1]] - worse[order[0]] >= PATTERN_MARGIN
+        return tried[order[0]] if worse[order[0]] <= PATTERN_WORSE and alone else free
+
+    def _with_aspects(self, solution: Solution, aspects: tuple[float, ...]) -> Solution:
+        """The solution with these pixel aspects held."""
+        cameras = self.recording.cameras
+        state, freedom = solution.settled.judged.state, solution.freedom
+        numbers, free, mean = state.cameras.copy(), freedom.free.copy(), freedom.prior_mean.copy()
+        numbers[:cameras, ASPECT] = mean[:cameras, ASPECT] = -np.log(aspects)
+        free[:cameras, ASPECT] = False
+        held = Freedom(free, mean, freedom.prior_weight)
+        return self._solved(RigState(numbers, state.base, state.points), held)
+
+    def _assembled(self, solution: Solution) -> Calibration:
+        return assembled(self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs)
+
+    def _stage(self, doubts: Doubts, trials: list[Solution], solution: Solution) -> Stage:
+        names = self.tracks.names
+        return Stage(
+            "Priors in doubt",
+            {
+                "principal_point_sigmas": {name: round(float(z), 1) for name, z in zip(names, doubts.centers)},
+                "chance_of_square_pixels": f"{doubts.aspects_chance:.1g}",
+                "objective_falls_by": [round(better_by(trial, solution), 1) for trial in trials],
+            },
+        )
+
+
+def _pinned(freedom: Freedom) -> Bool[np.ndarray, " D"]:
+    """Cameras whose aspect was found to be another than 1 already."""
+    return freedom.prior_mean[:, ASPECT] != 0
+
+
+def _price(trial: Solution, before: Solution) -> float:
+    """What the parameters that a trial frees must bring."""
+    looser = trial.freedom.prior_weight < before.freedom.prior_weight
+    return WORTH_EACH * float((trial.freedom.free & (looser | ~before.freedom.free)).sum())

@@ -1,0 +1,100 @@
+"""From the first rest of the outliers to the final solution: clocks, lens terms, and priors that are refuted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.lens_choice import choose_lens
+from jaxpoint.calibration.objective import Solution
+from jaxpoint.calibration.offsets import InStep, brought_in_step
+from jaxpoint.calibration.prior_choice import PriorChoice
+from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.calibration.result import Calibration, PairTable, Stage, TimeOffsets
+from jaxpoint.calibration.uncertainty import variance_px2
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config import CalibrateSettings
+from jaxpoint.tracks import Tracks
+
+
+def freedom_of(
+    recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics: CameraRig | None
+) -> Freedom:
+    """The parameters that the settings leave free, and their priors."""
+    freedom = Freedom.of(recording, settings.lens, distortion, hold=settings.lens.known == "hold")
+    return freedom if intrinsics is None else freedom.around(recording, known_numbers(intrinsics))
+
+
+@dataclass
+class Refinement:
+    """One recording while its solution is refined; with time offsets its tracks change on the way."""
+
+    recorded: Tracks
+    tracks: Tracks
+    recording: Recording
+    pairs: PairTable
+    settings: CalibrateSettings
+    intrinsics: CameraRig | None
+    stages: list[Stage] = field(default_factory=list)
+    clocks: InStep | None = None
+
+    def run(self, solution: Solution) -> Solution:
+        """Lens terms, then priors in doubt; where one was given up, the lens terms once more."""
+        solution = self._lens(solution)
+        chosen = self._priors(solution)
+        return solution if chosen is solution else self._lens(self._in_step_again(chosen))
+
+    def in_step(self, solution: Solution, offsets: Float[np.ndarray, " C"]) -> Solution:
+        """The solution with the cameras brought to one clock."""
+        state, freedom = solution.settled.judged.state, solution.freedom
+        self.clocks = brought_in_step(self.recorded, state, offsets, freedom, self.settings.outliers)
+        self.recording, self.tracks = self.clocks.recording, self.clocks.tracks
+        return Solution(self.clocks.settled, freedom)
+
+    def _in_step_again(self, solution: Solution) -> Solution:
+        return solution if self.clocks is None else self.in_step(solution, self.clocks.offsets)
+
+    def _lens(self, solution: Solution) -> Solution:
+        """Tangential and higher radial terms where they predict held-out frames better."""
+        if self.settings.lens.distortion != "auto" or self.settings.lens.known == "hold":
+            return solution
+        chosen, stage = choose_lens(self.recording, solution, self.settings)
+        self.stages.append(stage)
+        return solution if chosen is solution else self._in_step_again(chosen)
+
+    def _priors(self, solution: Solution) -> Solution:
+        """Without the priors that the recording refutes."""
+        if self.settings.lens.known != "none":
+            return solution
+        chosen, stages = PriorChoice(self.recording, self.tracks, self.pairs, self.settings).choose(solution)
+        self.stages += stages
+        return chosen
+
+    def with_offsets(self, found: Calibration) -> Calibration:
+        """The calibration with the time offsets that it was made with."""
+        if self.clocks is None:
+            return found
+        clocks, names = self.clocks, self.recorded.names
+        sigma = clocks.unit_sigmas * np.sqrt(variance_px2(found))
+        self.stages.append(_clock_stage(names, clocks, sigma, self.recorded, found.tracks))
+        return replace(
+            found,
+            time_offsets=TimeOffsets(clocks.offsets, sigma),
+            converged=found.converged and clocks.still,
+            message=found.message if clocks.still else f"{found.message}; the time offsets did not converge",
+        )
+
+
+def _clock_stage(names: tuple[str, ...], clocks: InStep, sigma: np.ndarray, recorded: Tracks, used: Tracks) -> Stage:
+    shown = {name: f"{late:+.3f} ± {sure:.3f}" for name, late, sure in zip(names, clocks.offsets, sigma)}
+    return Stage(
+        "Time offsets",
+        {
+            "frames": shown,
+            "observations_left_out_for_want_of_neighbours_in_time": int(recorded.visible.sum() - used.visible.sum()),
+            "rounds": clocks.rounds,
+        },
+    )
