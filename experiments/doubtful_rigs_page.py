@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from doubtful_rigs_scores import OUTCOMES, Record, excesses, inside, outcome, share, squares, tallies
+from doubtful_rigs_scores import OUTCOMES, Record, Tally, excesses, inside, outcome, share, squares, tallies
 from jaxpoint.report.html import render, write_page
 from jaxpoint.report.style import FAINT, INK, PAGE, camera_colors, style, to_svg
 from jaxpoint.report.tables import Table, origin_table
@@ -55,7 +55,7 @@ def write_study(path: Path, records: list[Record], figures: dict[str, Any], made
 def sentence(figures: dict[str, Any]) -> str:
     """The figures that are wanted, beside what is wanted."""
     at_95 = figures["inside_95"]
-    total = figures["by_kind"].get("all", {"crashed": 0, "determined": 0})
+    total = figures["by_kind"].get("all", vars(Tally()))
     return (
         f"Of {figures['rigs']} rigs {figures['wrong_called_good']} wrong ones were called good (wanted: 0). "
         f"Of the {total['determined']} rigs that their data determine {percent(figures['determined_right'])} came out "
@@ -63,7 +63,7 @@ def sentence(figures: dict[str, Any]) -> str:
         f"refusals name the true cause (wanted: 95 %). Regions of 95 % of the rigs called good hold "
         f"{percent(at_95['focal'])} of the focal lengths and {percent(at_95['centre'])} of the centres (wanted: 92 to "
         f"98 %), and {percent(at_95['rotation'])} of the rotations. {total['crashed']} ended in an error that is none "
-        "of jaxpoint's own."
+        f"of jaxpoint's own, and {total['undetermined_good']} were called good though their data do not determine them."
     )
 
 
@@ -143,10 +143,12 @@ def _scatter_caption() -> str:
 
 def kind_table(records: list[Record]) -> Table:
     """Counts by layout and by fault; a rig of two faults counts under both."""
-    header = ["kind", "rigs", *OUTCOMES, "crashed", "determined", "of these right", "of these refused"]
+    header = ["kind", "rigs", *OUTCOMES, "crashed", "determined", "of these right", "of these refused",
+              "undetermined, called good"]  # fmt: skip
     rows = [
         [name, str(tally.rigs), *(str(tally.outcomes[what]) for what in OUTCOMES), str(tally.crashed),
-         str(tally.determined), percent(share(tally.determined_right, tally.determined)), str(tally.determined_refused)]
+         str(tally.determined), percent(share(tally.determined_right, tally.determined)),
+         str(tally.determined_refused), str(tally.undetermined_good)]
         for name, tally in tallies(records).items() if tally.rigs
     ]  # fmt: skip
     return Table(header, rows)

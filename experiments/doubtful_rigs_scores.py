@@ -157,6 +157,7 @@ class Tally:
     determined: int = 0
     determined_right: int = 0  # called good, and right
     determined_refused: int = 0
+    undetermined_good: int = 0  # called good all the same: so wide a prediction is hardly ever wrong
 
     def add(self, record: Record) -> None:
         """Count one rig."""
@@ -168,6 +169,8 @@ class Tally:
             self.determined += 1
             self.determined_right += what == OUTCOMES[0]
             self.determined_refused += what in OUTCOMES[2:]
+        else:
+            self.undetermined_good += record.result.passed
 
     @property
     def refused(self) -> int:

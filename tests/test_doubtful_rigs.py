@@ -269,7 +269,7 @@ def test_counts_reliability_and_page(tmp_path):
     assert counted["all"].rigs == 4
     assert (counted["late"].rigs, counted["crop"].rigs, counted["no fault"].rigs) == (1, 1, 3)
     assert (counted["all"].determined, counted["all"].determined_right, counted["all"].determined_refused) == (3, 1, 2)
-    assert counted["all"].crashed == 1
+    assert (counted["all"].crashed, counted["all"].undetermined_good) == (1, 1)
     figures = summary(records)
     assert figures["wrong_called_good"] == 1
     assert figures["determined_right"] == pytest.approx(1 / 3)
