@@ -121,15 +121,17 @@ def is_of(seed: int, kind: str) -> bool:
 
 def run_all(seeds: list[int], jobs: int) -> Iterator[Record]:
     """Records as they are finished, in this process or in several."""
-    ordered = sorted(seeds, key=lambda seed: (padded_cameras(len(draw(seed)[0].cameras)), seed))
-    if jobs == 1:
+    size = {seed: padded_cameras(len(draw(seed)[0].cameras)) for seed in seeds}
+    ordered = sorted(seeds, key=lambda seed: (size[seed], seed))
+    if jobs <= 1:
         yield from map(run_seed, ordered)
         return
     context = multiprocessing.get_context("spawn")
     pools = [ProcessPoolExecutor(1, context, _leave_interrupts_to_the_parent) for _ in range(jobs)]
-    half = [ordered[len(ordered) * job // jobs : len(ordered) * (job + 1) // jobs] for job in range(jobs)]
+    load = np.cumsum([size[seed] for seed in ordered])
+    whose = np.minimum(load * jobs // max(load[-1] + 1, 1), jobs - 1) if ordered else load
     try:
-        futures = [pool.submit(run_seed, seed) for pool, share in zip(pools, half) for seed in share]
+        futures = [pools[job].submit(run_seed, seed) for job, seed in zip(whose, ordered)]
         for future in as_completed(futures):
             yield future.result()
     finally:

@@ -11,7 +11,19 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
-from doubtful_rigs_scores import OUTCOMES, Record, Tally, excesses, inside, outcome, share, squares, tallies
+from doubtful_rigs_scores import (
+    OUTCOMES,
+    SHOWN,
+    Record,
+    Result,
+    Tally,
+    excesses,
+    inside,
+    outcome,
+    share,
+    squares,
+    tallies,
+)
 from jaxpoint.report.html import render, write_page
 from jaxpoint.report.style import FAINT, INK, PAGE, camera_colors, style, to_svg
 from jaxpoint.report.tables import Table, origin_table
@@ -19,7 +31,8 @@ from jaxpoint.report.tables import Table, origin_table
 CURVE = (*np.linspace(0.02, 0.98, 49).tolist(), 0.99)
 NAMES = {"focal": "focal lengths", "centre": "centres", "rotation": "rotations"}
 CELLS = jinja2.Template(
-    """<div class="wide"><table><thead><tr>{% for cell in header %}<th>{{ cell }}</th>{% endfor %}</tr></thead><tbody>
+    """<div class="wide"><table class="origin">
+<thead><tr>{% for cell in header %}<th>{{ cell }}</th>{% endfor %}</tr></thead><tbody>
 {% for row in rows %}<tr>{% for cell in row %}<{{ "th" if loop.first else "td" }}>{{ cell }}</{{ "th" if loop.first
 else "td" }}>{% endfor %}</tr>
 {% endfor %}</tbody></table></div>""",
@@ -81,17 +94,17 @@ def reliability(records: list[Record]) -> Figure:
         axes.plot([0, 1], [0, 1], color=FAINT, linewidth=1, label="as predicted")
         axes.fill_between([0.945, 0.955], 0.92, 0.98, color=FAINT, alpha=0.5, linewidth=0, label="wanted at 95 %")
         for (quantity, name), colour in zip(NAMES.items(), camera_colors(3)):
-            _draw_curve(axes, records, quantity, name, colour)
+            _draw_curve(axes, [record.result for record in records], quantity, name, colour)
         axes.legend(loc="upper left")
     return figure
 
 
-def _draw_curve(axes, records: list[Record], quantity: str, name: str, colour: str) -> None:
-    count = len(squares(records, quantity))
+def _draw_curve(axes, results: list[Result], quantity: str, name: str, colour: str) -> None:
+    count = len(squares(results, quantity))
     if not count:
         return
-    axes.plot(CURVE, inside(records, quantity, CURVE), color=colour, label=f"{name}, {count}")
-    at = inside(records, quantity, (0.95,))[0]
+    axes.plot(CURVE, inside(results, quantity, CURVE), color=colour, label=f"{name}, {count}")
+    at = inside(results, quantity, (0.95,))[0]
     interval = binomtest(round(at * count), count).proportion_ci(0.95, "wilson")
     axes.errorbar([0.95], [at], [[max(at - interval.low, 0)], [max(interval.high - at, 0)]], color=colour, capsize=3,
                   fmt="o", markersize=4)  # fmt: skip
@@ -99,10 +112,11 @@ def _draw_curve(axes, records: list[Record], quantity: str, name: str, colour: s
 
 def _curve_caption(figures: dict[str, Any]) -> str:
     parts = [f"{name} {percent(figures['inside_95'][key])}" for key, name in NAMES.items()]
+    plain = [f"{name} {percent(figures['inside_95_of_controls'][key])}" for key, name in NAMES.items()]
     return (
         "Cameras of the rigs called good: how many of the regions that the calibration predicts hold the truth. At "
         f"95 %: {', '.join(parts)}; bars are Wilson intervals of 95 %, as if cameras of one rig were independent. "
-        "Right: the same, magnified."
+        f"Right: the same, magnified. Controls with unknown lenses, for comparison: {', '.join(plain)}."
     )
 
 
@@ -157,7 +171,7 @@ def kind_table(records: list[Record]) -> Table:
 def wrong_table(records: list[Record]) -> Table:
     """Wrong rigs called good."""
     wrong = [record for record in records if outcome(record) == OUTCOMES[1]]
-    rows = [[*_rig_cells(record), "; ".join(map(str, excesses(record)[:3]))] for record in wrong]
+    rows = [[*_rig_cells(record), "; ".join(map(str, excesses(record)[:SHOWN]))] for record in wrong]
     return Table(["seed", "layout", "faults", "determined", "beyond what is allowed"], rows)
 
 

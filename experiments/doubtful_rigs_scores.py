@@ -10,6 +10,7 @@ seen.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +25,7 @@ from doubtful_rigs_layouts import CRITICAL, LAYOUTS
 SIGMAS, TIMES = 4.0, 2.0
 LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 QUANTITIES = {"focal": 1, "centre": 3, "rotation": 3}  # and their degrees of freedom
+SHOWN = 3  # excesses of one rig that are listed
 OUTCOMES = ("good and right", "good and wrong", "refused, true cause", "refused, other cause")
 CAUSES = {
     "aspect": r"aspect|pixels (that )?are not square|not square",
@@ -108,7 +110,8 @@ def excesses(record: Record) -> list[Excess]:
 def _each(camera: CameraError, quantity: str) -> list[tuple[float, float]]:
     """Errors, not negative, with their standard deviations."""
     if quantity == "focal":
-        return [(abs(error), sigma) for error, sigma in zip(camera.focal, camera.focal_sigma)]
+        both = {(abs(error), sigma) for error, sigma in zip(camera.focal, camera.focal_sigma)}
+        return sorted(both)  # one where pixels are square
     if quantity == "centre":
         return [(camera.centre, camera.centre_sigma)]
     return [(camera.rotation_deg, camera.rotation_sigma_deg)]
@@ -187,9 +190,9 @@ def tallies(records: list[Record]) -> dict[str, Tally]:
     return found
 
 
-def squares(records: list[Record], quantity: str) -> np.ndarray:
-    """Squared errors of the rigs called good, in units of the predicted covariance, of every camera."""
-    cameras = [camera for record in records if record.result.passed for camera in record.result.cameras]
+def squares(results: Sequence[Result], quantity: str) -> np.ndarray:
+    """Squared errors of the results called good, in units of the predicted covariance, of every camera."""
+    cameras = [camera for result in results if result.passed for camera in result.cameras]
     if quantity == "focal":
         pairs = [(camera.focal[1], camera.focal_sigma[1]) for camera in cameras]
         return np.array([(error / sigma) ** 2 for error, sigma in pairs if sigma > 0])
@@ -197,9 +200,9 @@ def squares(records: list[Record], quantity: str) -> np.ndarray:
     return np.array([value for value in values if value is not None])
 
 
-def inside(records: list[Record], quantity: str, levels: tuple[float, ...] = LEVELS) -> list[float]:
+def inside(results: Sequence[Result], quantity: str, levels: tuple[float, ...] = LEVELS) -> list[float]:
     """The share of cameras whose region of each predicted probability holds the truth; NaN without any."""
-    found = squares(records, quantity)
+    found = squares(results, quantity)
     bounds = chi2.ppf(levels, QUANTITIES[quantity])
     return [float((found <= bound).mean()) if len(found) else float("nan") for bound in bounds]
 
@@ -209,18 +212,21 @@ def summary(records: list[Record]) -> dict[str, Any]:
     found = tallies(records)
     total = found["all"]
     wrong = [record for record in records if outcome(record) == OUTCOMES[1]]
-    curves = {name: inside(records, name) for name in QUANTITIES}
+    results = [record.result for record in records]
+    plain = [record.control for record in records if not record.control_held]
+    curves = {name: inside(results, name) for name in QUANTITIES}
     return {
         "rigs": total.rigs,
         "wrong_called_good": len(wrong),
         "determined_right": share(total.determined_right, total.determined),
         "refusals_with_the_true_cause": share(total.outcomes[OUTCOMES[2]], total.refused),
         "inside_95": {name: _finite(curve[LEVELS.index(0.95)]) for name, curve in curves.items()},
+        "inside_95_of_controls": {name: _finite(inside(plain, name, (0.95,))[0]) for name in QUANTITIES},
         "by_kind": {name: {**vars(tally)} for name, tally in found.items() if tally.rigs},
         "levels": list(LEVELS),
         "inside": {name: [_finite(value) for value in curve] for name, curve in curves.items()},
-        "regions": {name: len(squares(records, name)) for name in QUANTITIES},
-        "wrong": [{"seed": record.seed, "what": [str(one) for one in excesses(record)]} for record in wrong],
+        "regions": {name: len(squares(results, name)) for name in QUANTITIES},
+        "wrong": [{"seed": record.seed, "what": [str(one) for one in excesses(record)[:SHOWN]]} for record in wrong],
         "median_seconds": float(np.median([record.result.seconds for record in records])) if records else None,
     }
 
