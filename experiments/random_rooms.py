@@ -31,15 +31,16 @@ import tyro
 from rich.progress import track
 
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.assembly import centred
 from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE
+from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.outliers import Settled, grow, settle
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.assembly import centred
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, to_toml
 from jaxpoint.errors import JaxpointError, UsageError
-from jaxpoint.metrics import judge
 from jaxpoint.simulate.rooms import Room, random_room
 
 COST_MARGIN = 1.01  # of the reference's cost
@@ -180,7 +181,8 @@ def solved_room(seed: int, options: RandomRooms) -> Row:
         state = best.judged.state
         placed = (best.judged.kept.sum(axis=1) >= 2)[: room.tracks.frames]
         reference_mm, _ = centre_error(room, state.positions[:count], state.points[: room.tracks.frames], placed)
-    doubt = judge(solved, options.settings)
+    with jax.enable_x64(True):
+        doubt = assess(with_covariance(solved), options.settings).failure
     return Row(
         **drawn_figures(room, seed),
         verdict="ok" if doubt is None else "gate",

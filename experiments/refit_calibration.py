@@ -23,13 +23,14 @@ import jax
 import numpy as np
 import tyro
 
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, InputSettings, load_settings
 from jaxpoint.errors import InsufficientDataError, JaxpointError, UsageError
 from jaxpoint.io.files import replacing
 from jaxpoint.io.tracks import read_tracks
-from jaxpoint.metrics import judge, metrics
+from jaxpoint.metrics import metrics
 from jaxpoint.tracks import Tracks
 from jaxpoint.validation import validate_held_out
 
@@ -136,7 +137,7 @@ def row_of(case: Case, solved: Calibration, held_out_px: float | None, seconds: 
     """The figures of a solved case."""
     figures = metrics(solved)
     reprojection, cameras = figures["reprojection"], figures["cameras"]
-    failure = judge(solved, case.calibrate)
+    failure = assess(solved, case.calibrate).failure
     return Row(
         case.name,
         len(cameras),

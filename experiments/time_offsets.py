@@ -27,12 +27,13 @@ import tyro
 from rich.progress import track
 
 from jaxpoint.calibration.alignment import align_to_camera_centres
+from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import JaxpointError
 from jaxpoint.io.tracks import read_tracks
-from jaxpoint.metrics import judge
 from jaxpoint.simulate.rooms import Room, random_room
 from jaxpoint.tracks import Tracks
 
@@ -131,7 +132,7 @@ def solved(seed: int, options: TimeOffsets) -> Row:
         seed,
         cameras,
         visibility,
-        "ok" if judge(found, settings) is None else "gate",
+        "ok" if assess(with_covariance(found), settings).passed else "gate",
         seconds,
         float(np.abs(error).max()),
         tuple((error[1:] / offsets.sigma[1:]).tolist()),

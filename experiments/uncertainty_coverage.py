@@ -24,13 +24,13 @@ from rich.progress import track
 from scipy.stats import chi2
 
 from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
+from jaxpoint.calibration.assembly import centred, rig_of
 from jaxpoint.calibration.bundle import CENTER, FOCAL, LEAST_SQUARES, SIZE
 from jaxpoint.calibration.outliers import robust_sigma
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.propagation import joint_uncertainty
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, project
 from jaxpoint.calibration.result import Calibration, Verdict
-from jaxpoint.calibration.assembly import centred, rig_of
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.calibration.uncertainty import Anchors, Uncertainty, uncertainty_of
 from jaxpoint.config import LensSettings

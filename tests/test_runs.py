@@ -12,12 +12,13 @@ import pytest
 
 from jaxpoint.calibration.alignment import align_to_camera_centres, apply_alignment
 from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.uncertainty import uncertainty_of
 from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig
 from jaxpoint.errors import FileFormatError, NotConvergedError, QualityError, UsageError
-from jaxpoint.metrics import judge, metrics
+from jaxpoint.metrics import metrics
 from jaxpoint.runs import Interrupted, new_run, provenance, read_run, write_run
 
 
@@ -207,12 +208,12 @@ def test_metrics_stay_json_where_a_camera_lost_everything(solved_room):
 
 def test_the_gate_names_what_failed(solved_room):
     calibration = solved_room[1]
-    assert judge(calibration, CalibrateSettings()) is None
-    assert isinstance(judge(replace(calibration, converged=False), CalibrateSettings()), NotConvergedError)
-    error = judge(calibration, CalibrateSettings(max_mean_px=0.1))
+    assert assess(calibration).failure is None
+    assert isinstance(assess(replace(calibration, converged=False)).failure, NotConvergedError)
+    error = assess(calibration, CalibrateSettings(max_mean_px=0.1)).failure
     assert isinstance(error, QualityError)
     assert "above the 0.1 px allowed" in str(error)
-    assert "Only 9" in str(judge(calibration, CalibrateSettings(min_kept=0.999)))
+    assert "Only 9" in str(assess(calibration, CalibrateSettings(min_kept=0.999)).failure)
 
 
 def test_frames_that_one_camera_saw_fail_no_gate(solved_room):
@@ -226,4 +227,4 @@ def test_frames_that_one_camera_saw_fail_no_gate(solved_room):
         calibration, verdicts=verdicts, tracks=eqx.tree_at(lambda t: t.visible, calibration.tracks, visible)
     )
     assert sparse.kept.sum() < 0.8 * visible.sum()
-    assert judge(sparse, CalibrateSettings(min_kept=0.9)) is None
+    assert assess(sparse, CalibrateSettings(min_kept=0.9)).passed

@@ -1,19 +1,21 @@
-"""The figures of a calibration that a person or a program compares, and the quality gate."""
+"""The figures of a calibration that a person or a program compares."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import Any, cast
 
 import numpy as np
 
+from jaxpoint.calibration.quality import Quality
 from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.camera.distortion import Brown
-from jaxpoint.config import AlignSettings, CalibrateSettings
-from jaxpoint.errors import JaxpointError, NotConvergedError, QualityError
 
 
-def metrics(calibration: Calibration, detect_seconds: float | None = None) -> dict[str, Any]:
+def metrics(
+    calibration: Calibration, detect_seconds: float | None = None, quality: Quality | None = None
+) -> dict[str, Any]:
     """What `metrics.json` holds: strict JSON, with None for what does not exist.
 
     Reprojection errors are lengths of two-dimensional residuals in pixels, over the observations kept;
@@ -21,6 +23,7 @@ def metrics(calibration: Calibration, detect_seconds: float | None = None) -> di
 
     Args:
         detect_seconds: how long the detection took that made the tracks, where known; it is added to the total.
+        quality: what `calibration.quality.assess` decided, where it was asked.
     """
     kept, visible = calibration.kept, calibration.tracks.visible
     errors = calibration.errors
@@ -48,6 +51,17 @@ def metrics(calibration: Calibration, detect_seconds: float | None = None) -> di
         "seed": calibration.seed,
         "cameras": _cameras(calibration),
         "time_offsets": _time_offsets(calibration),
+        **({} if quality is None else _verdict(quality)),
+    }
+
+
+def _verdict(quality: Quality) -> dict[str, Any]:
+    """Whether it passes, why not, and all that was found."""
+    return {
+        "passed": quality.passed,
+        "failure": None if quality.failure is None else str(quality.failure),
+        "causes": list(quality.causes),
+        "findings": [asdict(finding) for finding in quality.findings],
     }
 
 
@@ -72,41 +86,6 @@ def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
 def _time_offsets(calibration: Calibration) -> dict[str, list[float | None]] | None:
     late = calibration.time_offsets
     return None if late is None else {"frames": _numbers(late.frames), "sigma": _numbers(late.sigma)}
-
-
-def judge(
-    calibration: Calibration, settings: CalibrateSettings, align: AlignSettings | None = None
-) -> JaxpointError | None:
-    """Why the calibration should not be trusted, or None where it passes the stated thresholds.
-
-    Args:
-        align: threshold of the alignment; the default if not given. It counts for aligned calibrations only.
-    """
-    if not calibration.converged:
-        return NotConvergedError(
-            f"The adjustment did not converge ({calibration.message}); the results are kept and marked. Record more "
-            "of the room, or try another --init."
-        )
-    mean = _mean(calibration.errors[calibration.kept])
-    if mean is None or mean > settings.max_mean_px:
-        return QualityError(
-            f"The mean reprojection error is {mean} px, above the {settings.max_mean_px:g} px allowed; the results are "
-            "kept and marked. The report shows which camera disagrees."
-        )
-    fraction = calibration.kept.sum() / max(calibration.comparable.sum(), 1)
-    if fraction < settings.min_kept:
-        return QualityError(
-            f"Only {fraction:.0%} of the observations in frames of two or more views fit, below the "
-            f"{settings.min_kept:.0%} asked for; the results are kept and marked. The report shows which camera or "
-            "time disagrees."
-        )
-    aligned, allowed = calibration.alignment, (align or AlignSettings()).max_rms_mm
-    if aligned is not None and aligned.rms_mm > allowed:
-        return QualityError(
-            f"The alignment leaves {aligned.rms_mm:.0f} mm (rms), above the {allowed:g} mm allowed; the results are "
-            "kept and marked. The report shows which landmark disagrees."
-        )
-    return None
 
 
 def _mean(values: np.ndarray) -> float | None:

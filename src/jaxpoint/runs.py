@@ -22,12 +22,13 @@ from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
+from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.config import RoomConfig, load_config, to_toml
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_toml
 from jaxpoint.io.result import load_result, save_result
-from jaxpoint.metrics import judge, metrics
+from jaxpoint.metrics import metrics
 from jaxpoint.report.html import write_report
 
 MARK = "provenance.json"  # the file by which a folder is known as a run
@@ -147,6 +148,7 @@ def write_run(
     command: str,
     inputs: Sequence[Path] = (),
     detect_seconds: float | None = None,
+    quality: Quality | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
     """Write a run directory, whole or not at all, and return what its `metrics.json` holds.
@@ -154,13 +156,13 @@ def write_run(
     Args:
         command: the command line, for the record.
         inputs: files and folders whose hashes are recorded.
+        quality: what `assess` decided of the calibration under this configuration, where that is known already.
 
     Raises:
         UsageError: `out` cannot be used, see `new_run`.
     """
-    figures = metrics(calibration, detect_seconds)
-    failure = judge(calibration, config.calibrate, config.align)
-    figures["passed"], figures["failure"] = failure is None, None if failure is None else str(failure)
+    quality = quality or assess(calibration, config.calibrate, config.align)
+    figures = metrics(calibration, detect_seconds, quality)
     made = provenance(command, inputs, calibration.seed)
     with new_run(out, force) as folder:
         write_json(folder / MARK, made)
@@ -178,6 +180,7 @@ def write_run(
             calibration,
             settings=config.calibrate,
             align_settings=config.align,
+            quality=quality,
             metrics=figures,
             config_text=to_toml(config),
             provenance=made,

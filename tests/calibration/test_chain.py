@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.alignment import align_to_landmarks
+from jaxpoint.calibration.assembly import rig_of
 from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.chain import Measured, chain_of
 from jaxpoint.calibration.hypotheses import known_numbers
 from jaxpoint.calibration.recording import Recording, RigState, adjust
 from jaxpoint.calibration.result import Verdict
-from jaxpoint.calibration.assembly import rig_of
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.line import Ray, angle_between, distance_to_point

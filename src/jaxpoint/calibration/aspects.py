@@ -77,7 +77,9 @@ def with_stated_aspects(tracks: Tracks, lens: LensSettings) -> Tracks:
     stated = aspect_of(lens.aspect)
     if stated is not None:
         aspects = np.full(tracks.cameras, stated)
-    elif lens.aspect == "fixed" or tracks.pixel_aspects is None:
+    elif lens.aspect == "fixed":
+        aspects = np.ones(tracks.cameras)
+    elif tracks.pixel_aspects is None:
         aspects = None
     else:
         aspects = tracks.pixel_aspects

@@ -1,4 +1,4 @@
-"""Every camera by itself: what is kept of its observations, when, and whether its residuals follow the light's motion."""
+"""Every camera by itself: what is kept of its observations, when, and residuals that follow the light's motion."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def _stretches(calibration: Calibration) -> Iterator[Finding]:
         yield Finding(
             "camera moved",
             "bad" if dead.sum() >= 2 else "care",
-            f"Camera {name} fits no other between frames {ids[rows[0]]} and {ids[rows[-1]]}, and does elsewhere: it was "
-            "moved, or its recording was interrupted.",
+            f"Camera {name} fits no other between frames {ids[rows[0]]} and {ids[rows[-1]]}, and does elsewhere: it "
+            "was moved, or its recording was interrupted.",
             f"Leave out that part of the recording, or camera {name} (--leave-out {name})",
             (name,),
         )

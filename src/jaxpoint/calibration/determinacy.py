@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.bundle import FOCAL
+from jaxpoint.calibration.bundle import ASPECT, FOCAL
 from jaxpoint.calibration.expected import expected_error
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Finding
@@ -24,7 +24,8 @@ from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import InsufficientDataError
 
 POINTS = 200  # of the light, over which the expected error is taken
-PARALLEL = np.deg2rad(50.0)  # axes that differ by less leave focal lengths open (measured: 4 cameras in a row, 16 % at 40)
+PARALLEL = np.deg2rad(50.0)  # axes that differ by less leave focal lengths open (4 cameras in a row: 16 % at 40)
+SURELY_PARALLEL = np.deg2rad(10.0)  # the covariance deceives there: solutions drift to 0.25 of the focal length
 ONE_PLACE = 0.08  # cameras nearer to each other than this share of their distance to the light
 FLAT, THIN = 0.12, 0.12  # smallest (middle) over largest extent of the light: a plane (a line)
 SHALLOW = 0.25  # range of the light's depth over its median, in every camera
@@ -69,7 +70,7 @@ def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Itera
             yield Finding(cause, "bad", f"The recording does not determine the cameras: {why}.", remedy)
         return
     worst = int(found.focal_sigmas.argmax())
-    level = _level(found, settings)
+    level = "bad" if _surely_parallel(calibration) else _level(found, settings)
     if level == "good":
         return
     cause, why, remedy = _cause(calibration)
@@ -81,6 +82,12 @@ def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Itera
     yield Finding(
         cause, level, finding, remedy + _with_known_lenses(calibration, found), (calibration.rig.names[worst],)
     )
+
+
+def _surely_parallel(calibration: Calibration) -> bool:
+    """Axes so nearly parallel that unknown focal lengths cannot be had, whatever the covariance says."""
+    free = calibration.freedom is None or calibration.freedom.free[:, FOCAL].any()
+    return bool(free and axes_angle(poses(calibration.rig)[0]) < SURELY_PARALLEL)
 
 
 def _level(found: Determinacy, settings: CalibrateSettings):
@@ -121,6 +128,13 @@ def _cause(calibration: Calibration) -> tuple[str, str, str]:
     points = calibration.points[calibration.point_valid]
     places = centres(calibration.rig)
     angle = axes_angle(rotation)
+    if calibration.freedom is not None and calibration.freedom.free[:, ASPECT].any():
+        return (
+            "pixel aspect",
+            "the pixel aspects are unknown, and this recording leaves them open",
+            "State the pixel aspect (--lens.aspect fixed for square pixels, 16/15 for PAL video), or turn one camera "
+            "on its side",
+        )
     if calibration.freedom is None or calibration.freedom.free[:, FOCAL].any():
         near = _nearness(places, points)
         if near < ONE_PLACE:

@@ -110,7 +110,7 @@ def lens_reach(calibration: Calibration) -> Float[np.ndarray, " C"]:
 
 
 def _ends(profile: LensProfile) -> Float[np.ndarray, " C"]:
-    """Where each lens model ends, in half diagonals; where single cameras have too little there, all of them together."""
+    """Where each lens model ends, in half diagonals; of all cameras together where each has too little there."""
     ends = np.array([_end(count, kept) for count, kept in zip(profile.count, profile.kept)])
     if np.isfinite(ends).any():
         return ends

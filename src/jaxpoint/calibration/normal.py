@@ -52,7 +52,7 @@ class Step:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and J^T W r with the points eliminated, in px^2; 15 parameters as `bundle` orders them, then the extra columns."""
+    """J^T W J and J^T W r with the points eliminated (px^2), of all 15 parameters of a camera and the extra ones."""
 
     matrix: Float[np.ndarray, "D D"]
     gradient: Float[np.ndarray, " D"]

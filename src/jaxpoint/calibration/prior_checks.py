@@ -15,7 +15,7 @@ from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Finding
 from jaxpoint.camera.rig import CameraRig
 
-ASPECT_OPEN = 0.05  # sigma of a log aspect from which the recording does not tell it
+ASPECT_OPEN = 0.05  # sigma of a log aspect from which square pixels are taken on trust
 
 
 def prior_findings(calibration: Calibration, normal: NormalEquations | None) -> Iterator[Finding]:
@@ -106,12 +106,11 @@ def _open_aspect(calibration: Calibration, normal: NormalEquations) -> Iterator[
         sigma = float(normal.solve(loose).sigmas[:, ASPECT].max())
     except np.linalg.LinAlgError:
         return
-    if sigma > ASPECT_OPEN:
-        yield Finding(
-            "open pixel aspect",
-            "good",
-            f"Square pixels are taken on trust: with cameras as upright as these the recording tells the pixel aspect "
-            f"to ± {sigma:.0%} only.",
-            "Nearly all cameras have them; anamorphic video (PAL, NTSC, 1440 x 1080) needs --lens.aspect, or one camera "
-            "turned on its side",
-        )
+    if sigma <= ASPECT_OPEN:
+        return
+    yield Finding(
+        "pixel aspect",
+        "good",
+        f"Square pixels are taken on trust: the recording tells the pixel aspect to ± {sigma:.0%} only.",
+        "Nearly all cameras have them; anamorphic video (PAL, NTSC, 1440 x 1080) needs --lens.aspect",
+    )

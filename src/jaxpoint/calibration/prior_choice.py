@@ -8,7 +8,7 @@ is given up, the rig is solved again, and the solution with the better objective
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -20,7 +20,7 @@ from jaxpoint.calibration.bundle import ASPECT, CENTER
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState
-from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
 
@@ -28,6 +28,9 @@ REFUTED = 3.0  # sigmas (from the issue of a wrong prior: the field's usual boun
 CHANCE = 1e-4  # of a joint test; 0 of 31 random rooms came below (they reach 0.02)
 FREE_CENTER = 0.5  # of the image width: sigma of a principal point whose prior was given up
 FREE_ASPECT = 0.3  # sigma of a log aspect that is free: beyond the widest standard, 64/45
+TOLD_BADLY = 0.02  # sigma of a log aspect from which a score test has no power: standard aspects are tried instead
+ALIKE = (16 / 15, 4 / 3)  # tried for all cameras alike: the smallest and one of the largest
+OPEN = 6.0  # an aspect of 4/3 that is worse by less cannot be told from square pixels
 LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
 WORTH = 9.0  # least fall of the objective for a prior to be given up: 3 sigmas
 WORTH_EACH = 2.0  # and for every parameter that this frees (Akaike 1974)
@@ -43,6 +46,7 @@ class Doubts:
     centers: Float[np.ndarray, " C"]  # sigmas by which each camera's principal point contradicts its prior
     centers_chance: float  # of all of them together
     aspects_chance: float  # of the fall of the cost if every pixel aspect were free
+    aspects_sigma: float  # the largest of their log, if they were; 0 where they are free or stated
 
     @property
     def refuted(self) -> Bool[np.ndarray, " C"]:
@@ -64,10 +68,10 @@ def doubts_of(calibration: Calibration, normal: NormalEquations | None = None) -
     freedom = calibration.freedom.at_noise(calibration.sigma_px)
     try:
         centers, chance = _center_tests(normal, freedom, calibration)
-        aspects = _aspect_chance(normal, freedom, calibration.sigma_px)
+        aspects = _aspect_test(normal, freedom, calibration.sigma_px)
     except np.linalg.LinAlgError:
         return None
-    return Doubts(centers, chance, aspects)
+    return Doubts(centers, chance, *aspects)
 
 
 def _center_tests(normal, freedom: Freedom, calibration: Calibration) -> tuple[np.ndarray, float]:
@@ -87,14 +91,16 @@ def _center_tests(normal, freedom: Freedom, calibration: Calibration) -> tuple[n
     return np.sqrt(squares), float(chi2.sf(squares.sum(), 2 * cameras))
 
 
-def _aspect_chance(normal, freedom: Freedom, sigma_px: float) -> float:
+def _aspect_test(normal, freedom: Freedom, sigma_px: float) -> tuple[float, float]:
+    """The chance that square pixels explain the gradient, and the largest sigma of an aspect that is free."""
     held = ~freedom.free[:, ASPECT]
     if not held.any() or not freedom.free[:, CENTER.stop - 1].any():
-        return 1.0
+        return 1.0, 0.0
     step = normal.solve(with_free_aspects(freedom, held, sigma_px))
+    sigma = float(step.sigmas[:, ASPECT].max())
     if np.abs(step.change[:, ASPECT]).max() < LEAST_ASPECT:
-        return 1.0  # an imperfect lens model asks for odd aspects too (real recordings: up to 0.02)
-    return float(chi2.sf(step.gain, int(held.sum())))
+        return 1.0, sigma  # an imperfect lens model asks for odd aspects too (real recordings: up to 0.02)
+    return float(chi2.sf(step.gain, int(held.sum()))), sigma
 
 
 def with_free_centers(freedom: Freedom, chosen: np.ndarray, widths: np.ndarray, noise_px: float = NOISE_PX) -> Freedom:
@@ -121,6 +127,7 @@ class PriorChoice:
     tracks: Tracks
     pairs: PairTable
     settings: CalibrateSettings
+    findings: list[Finding] = field(default_factory=list)  # met on the way
 
     def choose(self, solution: Solution) -> tuple[Solution, tuple[Stage, ...]]:
         """The better solution, and the trials for the report."""
@@ -134,6 +141,7 @@ class PriorChoice:
             gains = [better_by(trial, solution) - _price(trial, solution) for trial in trials]
             stages.append(self._stage(doubts, trials, solution))
             if max(gains) < WORTH:
+                self.findings.extend(self._open_aspect(trials, solution))
                 break
             best = trials[int(np.argmax(gains))]
             if best.freedom.free[:, ASPECT].any():
@@ -153,8 +161,26 @@ class PriorChoice:
             yield self._solved(state, with_free_centers(freedom, chosen, self.recording.image_sizes[:, 0]))
         held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
         doubted = doubts.any_center or doubts.aspects_chance < CHANCE
-        if doubted and self.settings.lens.aspect == "auto" and held.any():
+        if self.settings.lens.aspect != "auto" or not held.any():
+            return
+        if doubted:
             yield self._solved(state, with_free_aspects(freedom, held))
+        elif doubts.aspects_sigma > TOLD_BADLY and self.tracks.pixel_aspects is None:
+            for aspect in ALIKE:
+                yield self._with_aspects(solution, (aspect,) * self.recording.cameras)
+
+    def _open_aspect(self, trials: list[Solution], solution: Solution) -> Iterator[Finding]:
+        """That anamorphic pixels would fit as well as square ones."""
+        if _pinned(trials[-1].freedom).any() and better_by(trials[-1], solution) > -OPEN:
+            yield Finding(
+                "pixel aspect",
+                "bad",
+                "All cameras stand upright and look level, so that the recording does not tell the pixel aspect: "
+                "pixels 4/3 times as wide as high fit as well as square ones.",
+                "State the aspect (--lens.aspect fixed where the pixels are square, as in nearly all cameras; 16/15 "
+                "for PAL video), or record again with one camera turned on its side",
+                self.tracks.names,
+            )
 
     def _solved(self, state: RigState, freedom: Freedom) -> Solution:
         return solve_with(self.recording, state, freedom, self.settings.outliers)

@@ -13,7 +13,7 @@ from jaxpoint.calibration.objective import Solution
 from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.prior_choice import PriorChoice
 from jaxpoint.calibration.recording import Freedom, Recording
-from jaxpoint.calibration.result import Calibration, PairTable, Stage, TimeOffsets
+from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, TimeOffsets
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
@@ -39,6 +39,7 @@ class Refinement:
     settings: CalibrateSettings
     intrinsics: CameraRig | None
     stages: list[Stage] = field(default_factory=list)
+    findings: list[Finding] = field(default_factory=list)
     clocks: InStep | None = None
 
     def run(self, solution: Solution) -> Solution:
@@ -69,8 +70,10 @@ class Refinement:
         """Without the priors that the recording refutes."""
         if self.settings.lens.known != "none":
             return solution
-        chosen, stages = PriorChoice(self.recording, self.tracks, self.pairs, self.settings).choose(solution)
+        trials = PriorChoice(self.recording, self.tracks, self.pairs, self.settings)
+        chosen, stages = trials.choose(solution)
         self.stages += stages
+        self.findings += trials.findings
         return chosen
 
     def with_offsets(self, found: Calibration) -> Calibration:

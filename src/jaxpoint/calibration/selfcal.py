@@ -137,7 +137,7 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
         refining.with_offsets(found),
         stages=(_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled)),
         seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
-        findings=tuple(given_up(freedom, solution.freedom, found.rig)),
+        findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig)),
     )
 
 

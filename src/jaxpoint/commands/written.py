@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome
 from jaxpoint.config import RoomConfig
-from jaxpoint.metrics import judge
 from jaxpoint.report.tables import offset_texts
 from jaxpoint.runs import write_run
 
@@ -27,6 +27,7 @@ def written(
     force: bool = False,
 ) -> Outcome:
     """The run directory, and its outcome with the failure of the quality gate, if any."""
+    quality = assess(calibration, room.calibrate, room.align)
     figures = write_run(
         out,
         calibration,
@@ -34,14 +35,15 @@ def written(
         command=shlex.join(["jaxpoint", *sys.argv[1:]]),
         inputs=sources,
         detect_seconds=detect_seconds,
+        quality=quality,
         force=force,
     )
     report = out / "report.html"
-    failure = judge(calibration, room.calibrate, room.align)
-    return Outcome({**figures, "run": str(out), "report": str(report)}, _lines(calibration, figures, report), failure)
+    lines = _lines(calibration, quality, figures, report)
+    return Outcome({**figures, "run": str(out), "report": str(report)}, lines, quality.failure)
 
 
-def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
+def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
     errors, observations, frames = figures["reprojection"], figures["observations"], figures["frames"]
     rows = [
         (
@@ -75,4 +77,5 @@ def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> t
             *aligned.warnings,
         )
     )
-    return (*table(header, rows), summary, *in_room, f"Report: {report}")
+    care = [f"{item.finding} {item.remedy}." for item in quality.findings if item.level == "care"]
+    return (*table(header, rows), summary, *in_room, *care, f"Report: {report}")

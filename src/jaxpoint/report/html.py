@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.offset_search import PairOffset
+from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing
@@ -43,6 +44,7 @@ def write_report(
     *,
     settings: CalibrateSettings | None = None,
     align_settings: AlignSettings | None = None,
+    quality: Quality | None = None,
     provenance: Mapping[str, Any] | None = None,
     metrics: Mapping[str, Any] | None = None,
     config_text: str | None = None,
@@ -55,6 +57,7 @@ def write_report(
         path: the HTML file; it is replaced whole or not at all.
         settings: thresholds of the verdict; the defaults if not given.
         align_settings: threshold of the alignment; the default if not given.
+        quality: what `assess` decided under these settings, where it was asked already.
         provenance: what the run was made with (versions, inputs, time), shown as it is.
         metrics: as `jaxpoint.metrics.metrics` gives; its `seconds` include the detection.
         config_text: the resolved settings, shown folded up.
@@ -64,7 +67,8 @@ def write_report(
     Raises:
         OSError: the folder is missing or not writable.
     """
-    settings, align_settings = settings or CalibrateSettings(), align_settings or AlignSettings()
+    settings = settings or CalibrateSettings()
+    quality = quality or assess(calibration, settings, align_settings)
     summary = summarise(calibration)
     accuracy = accuracy_of(calibration, summary)
     advice = [*_advice(summary, calibration), *on_accuracy(accuracy, summary.names)]
@@ -79,7 +83,7 @@ def write_report(
         title=title,
         subtitle=f"{len(summary.names)} cameras, {calibration.tracks.frames:,} frames",
         sections=_sections(calibration, sheets),
-        judgement=judge_summary(summary, calibration, advice, settings, align_settings),
+        judgement=judge_summary(summary, quality, advice, settings),
         tiles=_tiles(summary, calibration, seconds),
         advice=advice or [_NO_ADVICE],
         fits=tables.fit_table(summary),

@@ -4,30 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.pairs import MIN_FRAMES
-from jaxpoint.calibration.result import Calibration, PairTable
-from jaxpoint.config import AlignSettings, CalibrateSettings
+from jaxpoint.calibration.quality import Check, Quality
+from jaxpoint.calibration.result import Finding, Level, PairTable
+from jaxpoint.config import CalibrateSettings
 from jaxpoint.report.advice import ENOUGH_COVERAGE, ENOUGH_SHARED, Advice
 from jaxpoint.report.summary import Summary, image_coverage, mean, px
 from jaxpoint.tracks import Tracks
-
-Level = Literal["good", "care", "bad"]
-
-
-@dataclass(frozen=True)
-class Check:
-    """One thing that was held against a threshold."""
-
-    what: str
-    found: str
-    wanted: str
-    level: Level
-    reason: str = ""  # in a sentence, where it is a gate
 
 
 @dataclass(frozen=True)
@@ -40,60 +26,30 @@ class Judgement:
     checks: list[Check]
 
 
-def judge_summary(
-    summary: Summary,
-    calibration: Calibration,
-    advice: list[Advice],
-    settings: CalibrateSettings,
-    align: AlignSettings,
-) -> Judgement:
-    """Hold a calibration against the quality gates of its settings, and against what makes one doubtful."""
-    checks = [*_gates(summary, calibration, settings), *_warnings(summary, settings)]
-    if calibration.alignment is not None:
-        checks += _alignment(calibration.alignment, align)
-    urgent = [item for item in advice if item.urgent]
-    failed = [check for check in checks if check.level == "bad"]
-    doubtful = [check for check in checks if check.level == "care"]
+def judge_summary(summary: Summary, quality: Quality, advice: list[Advice], settings: CalibrateSettings) -> Judgement:
+    """The quality gate's decision in words, with what else makes a calibration doubtful."""
+    checks = [*quality.checks, *_warnings(summary, settings)]
+    rows = [*checks, *(_row(finding) for finding in quality.findings)]
+    if quality.failure is not None:
+        return Judgement("bad", "Not to be trusted", f"Do not use this calibration yet. {quality.failure}", rows)
     facts = (
         f"on average the cameras agree to {px(summary.mean_px, 2)} on where the light was "
         f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.comparable.sum():,} "
         f"observations fit (at least {settings.min_kept:.0%})"
     )
-    if failed:
-        reasons = " and ".join(check.reason for check in failed)
-        return Judgement("bad", "Not to be trusted", f"Do not use this calibration yet: {reasons}.", checks)
-    if urgent or doubtful:
-        first = urgent[0].finding if urgent else f"{doubtful[0].what}: {doubtful[0].found}."
-        sentence = f"It passes its thresholds: {facts}. But look at this first: {first}"
-        return Judgement("care", "Usable, with care", sentence, checks)
-    return Judgement("good", "This calibration can be trusted", f"{facts[0].upper()}{facts[1:]}.", checks)
+    notable = [item.finding for item in quality.findings if item.level == "care"]
+    urgent = [item.finding for item in advice if item.urgent]
+    doubtful = [f"{check.what}: {check.found}." for check in checks if check.level == "care"]
+    if first := [*notable, *urgent, *doubtful]:
+        sentence = f"It passes its thresholds: {facts}. But look at this first: {first[0]}"
+        return Judgement("care", "Usable, with care", sentence, rows)
+    return Judgement("good", "This calibration can be trusted", f"{facts[0].upper()}{facts[1:]}.", rows)
 
 
-def _gates(summary: Summary, calibration: Calibration, settings: CalibrateSettings) -> list[Check]:
-    """The thresholds at which `jaxpoint calibrate` itself fails."""
-    return [
-        Check(
-            "Solver",
-            calibration.message if calibration.converged else f"not converged: {calibration.message}",
-            "converged",
-            "good" if calibration.converged else "bad",
-            f"the solver did not converge ({calibration.message})",
-        ),
-        Check(
-            "Mean error of the observations kept",
-            px(summary.mean_px),
-            f"at most {settings.max_mean_px:g} px",
-            "good" if summary.mean_px <= settings.max_mean_px else "bad",
-            f"the mean error is {px(summary.mean_px, 2)} (limit {settings.max_mean_px:g} px)",
-        ),
-        Check(
-            "Observations kept",
-            f"{summary.kept_fraction:.1%}",
-            f"at least {settings.min_kept:.0%}",
-            "good" if summary.kept_fraction >= settings.min_kept else "bad",
-            f"only {summary.kept_fraction:.0%} of the observations fit (at least {settings.min_kept:.0%} are needed)",
-        ),
-    ]
+def _row(finding: Finding) -> Check:
+    """A finding of the gate as a row of the table of checks."""
+    what = f"{finding.cause[0].upper()}{finding.cause[1:]}"
+    return Check(what, finding.finding, finding.remedy, finding.level)
 
 
 def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
@@ -141,25 +97,6 @@ def _coverage(names: Sequence[str], pixels: np.ndarray, visible: np.ndarray, siz
             f"at least {ENOUGH_COVERAGE:.0%}",
             "good" if covered[narrow] >= ENOUGH_COVERAGE else "care",
         )
-    ]
-
-
-def _alignment(alignment: Alignment, settings: AlignSettings) -> list[Check]:
-    verified = alignment.handedness_verified
-    return [
-        Check(
-            "Alignment to the room, rms",
-            f"{alignment.rms_mm:.1f} mm",
-            f"at most {settings.max_rms_mm:g} mm",
-            "good" if alignment.rms_mm <= settings.max_rms_mm else "bad",
-            f"the known points are missed by {alignment.rms_mm:.0f} mm rms (limit {settings.max_rms_mm:g} mm)",
-        ),
-        Check(
-            "Handedness (mirror image ruled out)",
-            "verified" if verified else "not verified: the known points lie on a plane",
-            "verified",
-            "good" if verified else "care",
-        ),
     ]
 
 

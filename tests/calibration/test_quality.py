@@ -1,0 +1,133 @@
+"""The gate turns before the error does: rigs swept through every critical configuration, and refuted priors."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from critical import ring, row, seen, sigmas_off, waved
+
+from jaxpoint.calibration.aspects import aspect_of, aspect_patterns, aspect_text
+from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
+from jaxpoint.calibration.selfcal import calibrate
+from jaxpoint.config import CalibrateSettings, LensSettings
+from jaxpoint.errors import InsufficientDataError, QualityError, UsageError
+
+MOST_SIGMAS = 3.0  # of a calibration called good
+
+
+@pytest.fixture(autouse=True)
+def float64():
+    with jax.enable_x64(True):
+        yield
+
+
+def solved(cameras, light, settings=None, **how):
+    tracks, truth = seen(cameras, light, **how)
+    return with_covariance(calibrate(tracks, settings)), truth
+
+
+def near(cameras, factor):
+    """The cameras moved towards each other along the wall."""
+    rotation, centres = cameras
+    return rotation, centres * [factor, 1.0, 1.0]
+
+
+SWEEPS = {
+    "parallel axes": [lambda a=angle: (row(a), waved()) for angle in (0.0, 5.0, 20.0, 60.0, 100.0)],
+    "cameras in one place": [lambda f=share: (near(row(60.0), f), waved()) for share in (0.02, 0.2, 0.6)],
+    "light on a plane": [lambda t=thick: (ring(), waved(extent=(1.8, 1.4, t))) for thick in (0.005, 0.03, 0.1)],
+    "light on a line": [lambda t=thick: (ring(), waved(extent=(1.8, t, t))) for thick in (0.005, 0.05, 0.2)],
+}
+
+
+@pytest.mark.parametrize("cause", SWEEPS)
+def test_what_is_called_good_is_right_on_the_way_through_a_critical_configuration(cause):
+    """The first rig of every sweep stands at the critical point and is refused by name; the rest are right if good."""
+    for step, build in enumerate(SWEEPS[cause]):
+        try:
+            found, truth = solved(*build())
+        except InsufficientDataError as error:
+            assert step == 0
+            assert cause.split()[-1] in str(error)
+            continue
+        quality = assess(found)
+        if step == 0:
+            assert cause in quality.causes
+        assert not quality.passed or sigmas_off(found, truth) <= MOST_SIGMAS, (cause, step)
+    assert quality.passed or cause == "parallel axes"
+
+
+def test_parallel_axes_name_the_cure_and_known_lenses_cure_it():
+    found, _ = solved(row(0.0), waved())
+    failure = assess(found).failure
+    assert isinstance(failure, QualityError)
+    assert "parallel" in str(failure)
+    assert "--lens.known hold" in str(failure)
+
+
+@pytest.mark.parametrize(
+    ("cameras", "aspect"), [(ring(height=1.2), 4 / 3), (ring(height=1.8), [4 / 3, 1, 1, 1, 1]), (ring(), 1.0)]
+)
+def test_pixel_aspects_are_found_or_the_calibration_does_not_pass(cameras, aspect):
+    found, truth = solved(cameras, waved(), aspect=aspect)
+    quality = assess(found)
+    assert quality.passed
+    assert sigmas_off(found, truth) <= MOST_SIGMAS
+    named = {name for item in quality.findings if item.cause == "pixel aspect" for name in item.cameras}
+    assert named == {name for name, one in zip(found.rig.names, np.broadcast_to(aspect, 5)) if one != 1}
+
+
+def test_a_stated_aspect_is_taken():
+    settings = CalibrateSettings(lens=LensSettings(aspect="4/3"))
+    found, truth = solved(ring(), waved(), settings, aspect=4 / 3)
+    assert assess(found).passed
+    assert sigmas_off(found, truth) <= MOST_SIGMAS
+    ratio = np.asarray(found.rig.cameras.focal)[:, 1] / np.asarray(found.rig.cameras.focal)[:, 0]
+    np.testing.assert_allclose(ratio, 4 / 3)
+
+
+def test_a_cropped_camera_is_named_and_does_not_bend_the_others():
+    cameras = ring(height=1.8)
+    found, truth = solved(cameras, waved(), crop=(420, 160))
+    quality = assess(found)
+    assert quality.passed
+    assert sigmas_off(found, truth) <= MOST_SIGMAS
+    cropped = [item for item in quality.findings if item.cause == "cropped image"]
+    assert [item.cameras for item in cropped] == [("cam_0",)]
+
+
+@pytest.mark.parametrize(("fault", "cause"), [("mirror", "mirrored images"), ("other", "contradicting camera")])
+def test_a_camera_that_contradicts_the_others_is_left_out_and_named(fault, cause):
+    tracks, truth = seen(ring(), waved())
+    pixels = np.where(tracks.visible[..., None], tracks.pixels, np.nan)
+    if fault == "mirror":
+        pixels[:, 2, 0] = tracks.image_sizes[2, 0] - 1 - pixels[:, 2, 0]
+    else:
+        pixels[:, 2] = seen(ring(), waved(seed=5))[0].pixels[:, 2]
+        pixels[~tracks.visible] = np.nan
+    found = with_covariance(calibrate(type(tracks).from_pixels(pixels, tracks.image_sizes)))
+    quality = assess(found)
+    assert found.rig.names == ("cam_0", "cam_1", "cam_3", "cam_4")
+    assert cause in quality.causes
+    assert "cam_2" in str(quality.failure)
+    assert sigmas_off(found, truth) <= MOST_SIGMAS
+    rest = replace(found, findings=())
+    assert assess(rest).passed
+
+
+def test_aspects_are_read_as_numbers_fractions_or_words():
+    assert aspect_of("16/15") == pytest.approx(16 / 15)
+    assert aspect_of(1.0667) == pytest.approx(1.0667)
+    assert aspect_of("auto") is None
+    assert aspect_text(64 / 45) == "64/45"
+    for wrong in ("pal", "0", "1/0", "nan", "9"):
+        with pytest.raises(UsageError, match="cannot be used"):
+            aspect_of(wrong)
+
+
+def test_patterns_of_aspects_keep_the_ratios_that_were_found():
+    patterns = aspect_patterns(0.95 * np.array([4 / 3, 1.0, 1.0]))
+    assert patterns[0] == pytest.approx((4 / 3, 1.0, 1.0))
+    assert all(pattern[0] / pattern[1] == pytest.approx(4 / 3, rel=0.02) for pattern in patterns)
