@@ -48,8 +48,9 @@ def run(*arguments, capsys):
 def test_a_moved_camera_is_found_and_shown(runs, tmp_path, capsys):
     folder, first, _ = runs
     code, out, err = run(folder / "first", folder / "second", "--out", tmp_path / "page", capsys=capsys)
-    assert (code, err) == (0, "")
     name = first.rig.names[MOVED]
+    assert (code, err.count("\n")) == (5, 1)
+    assert f"what their uncertainties allow, most of all in {name}" in err
     assert f"{name} stands out" in out
     assert next(line for line in out.splitlines() if line.startswith(name)).endswith("*")
     assert out.splitlines()[-1] == f"Report: {tmp_path / 'page' / 'report.html'}"

@@ -14,11 +14,12 @@ import tyro
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.io.session import Session
@@ -74,8 +75,9 @@ class DetectPerson(SeededOptions):
         session = open_session(self.session, self.calibration)
         with console.progress() as progress:
             views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
-        figures = _write(self, out, session, views, following)
-        return Outcome(figures, _lines(figures, out), _failure(self, figures))
+        missing: list[str] = []
+        figures = _write(self, out, session, views, following, missing)
+        return Outcome(figures, _lines(figures, out), _failure(self, figures), tuple(missing))
 
 
 def _seen(
@@ -109,7 +111,12 @@ def _given(
 
 
 def _write(
-    command: DetectPerson, out: Path, session: Session, views: tuple[CameraViews, ...], following: Following | None
+    command: DetectPerson,
+    out: Path,
+    session: Session,
+    views: tuple[CameraViews, ...],
+    following: Following | None,
+    missing: list[str],
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -124,24 +131,31 @@ def _write(
     figures = _figures(session, views, following)
     inputs = [*session.files, *([command.landmarks] if command.landmarks else [])]
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), inputs, command.seed)
-    with new_run(out, command.force) as folder:
+    settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings), track=command.track))
+
+    def page(folder: Path) -> None:
+        pictures: list[tuple[str, np.ndarray]] = []
+        with extra("the pictures of report.html", missing):
+            pictures = sheets(session, views, following)
+        with extra("report.html", missing):
+            write_people_report(
+                folder / "report.html",
+                figures,
+                None if following is None else following.tracking.heads,
+                None if session.rig is None else np.asarray(session.rig.positions),
+                pictures,
+                made,
+                settings,
+            )
+
+    with new_run(out, command.force, page) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings), track=command.track))
         (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", detections(session, views, following))
         if following is not None:
             save_heads(folder / "heads.csv", following.tracking.heads)
             write_table(folder / f"arms.{command.format}", arms(session, following))
-        write_people_report(
-            folder / "report.html",
-            figures,
-            None if following is None else following.tracking.heads,
-            None if session.rig is None else np.asarray(session.rig.positions),
-            sheets(session, views, following),
-            made,
-            settings,
-        )
     return figures
 
 
@@ -194,7 +208,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
         lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
     if not figures["followed"]:
         lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
-    return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
+    return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
 def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientDataError | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,24 +49,24 @@ class Validate(SeededOptions):
             raise UsageError("Say what to hold the calibration against: --lengths, --tracks or --held-out.")
         if self.out is not None:
             self.needed_folder("")
+        if chosen.lengths is not None and chosen.landmark_pixels is None:
+            raise UsageError("--lengths needs the pixels of their ends: --landmark-pixels FILE.")
         run = read_run(self.run_folder)
         figures: dict[str, Any] = {}
         lines: list[str] = []
-        failure: JaxpointError | None = None
-        if chosen.lengths is not None:
-            lengths = _lengths(run, chosen)
-            figures["lengths"], failure = _plain(asdict(lengths)), _judge(lengths, chosen.max_mean_mm)
-            lines += _length_lines(lengths, run.calibration.camera_covariance is not None)
-        if chosen.tracks is not None:
-            again = _other_recording(run, chosen.tracks)
-            figures["tracks"] = _plain(asdict(again))
-            lines += _held_out_lines("another recording", again)
-        if chosen.held_out:
-            predicted, difference = _halves(run, console)
-            figures["held_out"], figures["halves"] = _plain(asdict(predicted)), _plain(asdict(difference))
-            lines += [*_held_out_lines("half of the frames", predicted), *_difference_lines(difference)]
+        failures: list[JaxpointError] = []
+        for test in (_against_lengths, _against_tracks, _against_halves):
+            try:  # what one test found is kept whatever becomes of the next
+                found, told, failure = test(run, chosen, console)
+            except JaxpointError as error:
+                found, told, failure = {}, (), error
+            figures |= found
+            lines += told
+            failures += [] if failure is None else [failure]
+        if not figures:
+            raise failures[0]
         self._keep(figures)
-        return Outcome(figures, tuple(lines), failure)
+        return Outcome(figures, (*lines, *map(str, failures[1:])), failures[0] if failures else None)
 
     def _keep(self, figures: dict[str, Any]) -> None:
         if self.out is None:
@@ -79,12 +80,38 @@ class Validate(SeededOptions):
             write_json(folder / "validation.json", figures)
 
 
+Findings = tuple[dict[str, Any], Sequence[str], JaxpointError | None]
+"""Of one test: figures, lines for a person, and why it failed, if it did."""
+
+
+def _against_lengths(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if settings.lengths is None:
+        return {}, (), None
+    lengths = _lengths(run, settings)
+    lines = _length_lines(lengths, run.calibration.camera_covariance is not None)
+    return {"lengths": _plain(asdict(lengths))}, lines, _judge(lengths, settings.max_mean_mm)
+
+
+def _against_tracks(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if settings.tracks is None:
+        return {}, (), None
+    again = _other_recording(run, settings.tracks)
+    return {"tracks": _plain(asdict(again))}, _held_out_lines("another recording", again), None
+
+
+def _against_halves(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if not settings.held_out:
+        return {}, (), None
+    predicted, difference = _halves(run, console)
+    lines = [*_held_out_lines("half of the frames", predicted), *_difference_lines(difference)]
+    return {"held_out": _plain(asdict(predicted)), "halves": _plain(asdict(difference))}, lines, None
+
+
 def _lengths(run: Run, settings: ValidateSettings) -> LengthValidation:
     from jaxpoint.io.known import read_landmark_pixels, read_lengths
     from jaxpoint.validation import validate_lengths
 
-    if settings.lengths is None or settings.landmark_pixels is None:
-        raise UsageError("--lengths needs the images of their ends: --landmark-pixels FILE.")
+    assert settings.lengths is not None and settings.landmark_pixels is not None
     clicks = read_landmark_pixels(settings.landmark_pixels, run.calibration.rig.names)
     return validate_lengths(run.calibration, read_lengths(settings.lengths), clicks)
 

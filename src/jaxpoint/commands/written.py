@@ -10,8 +10,9 @@ from typing import Any
 
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
-from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.options import Outcome, at
 from jaxpoint.config import RoomConfig
+from jaxpoint.extras import extra
 from jaxpoint.metrics import judge
 from jaxpoint.report.tables import offset_texts
 from jaxpoint.runs import write_run
@@ -27,6 +28,7 @@ def written(
     force: bool = False,
 ) -> Outcome:
     """The run directory, and its outcome with the failure of the quality gate, if any."""
+    missing: list[str] = []
     figures = write_run(
         out,
         calibration,
@@ -35,22 +37,27 @@ def written(
         inputs=sources,
         detect_seconds=detect_seconds,
         force=force,
+        missing=missing,
     )
     report = out / "report.html"
     failure = judge(calibration, room.calibrate, room.align)
-    return Outcome({**figures, "run": str(out), "report": str(report)}, _lines(calibration, figures, report), failure)
+    lines: tuple[str, ...] = ()
+    with extra("the table of cameras on the terminal", missing):
+        lines = _lines(calibration, figures)
+    told = {**figures, "run": str(out), "report": str(report) if report.exists() else None}
+    return Outcome(told, (*lines, *at("Report", report)), failure, tuple(missing))
 
 
-def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
+def _lines(calibration: Calibration, figures: dict[str, Any]) -> tuple[str, ...]:
     errors, observations, frames = figures["reprojection"], figures["observations"], figures["frames"]
     rows = [
         (
             camera["name"],
-            f"{camera['focal_px'][0]:.1f}",
-            " ".join(f"{value:.1f}" for value in camera["center_px"]),
-            f"{camera['distortion'][0]:+.3f}",
+            _number(camera["focal_px"][0], ".1f"),
+            " ".join(_number(value, ".1f") for value in camera["center_px"]),
+            _number(next(iter(camera["distortion"]), None), "+.3f"),
             f"{camera['used']}/{camera['total']}",
-            "-" if mean is None else f"{mean:.3f}",
+            _number(mean, ".3f"),
         )
         for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
     ]
@@ -75,4 +82,9 @@ def _lines(calibration: Calibration, figures: dict[str, Any], report: Path) -> t
             *aligned.warnings,
         )
     )
-    return (*table(header, rows), summary, *in_room, f"Report: {report}")
+    return (*table(header, rows), summary, *in_room)
+
+
+def _number(value: float | None, digits: str) -> str:
+    """A dash for what is not known, as of a camera that kept no observation."""
+    return "-" if value is None else format(value, digits)
