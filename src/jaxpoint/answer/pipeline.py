@@ -14,6 +14,7 @@ from jaxpoint.answer.answers import Answer, Scene, answers
 from jaxpoint.answer.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
 from jaxpoint.answer.hypotheses import Correction, hypotheses
 from jaxpoint.answer.lines import HeldJoints, held_joints
+from jaxpoint.answer.no_gesture import no_gesture
 from jaxpoint.answer.words import Interval, Word, evidence_of, pair_words
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.point import PointSettings, RoomExtent
@@ -122,7 +123,7 @@ def pointed(
     tracks = arm_tracks(following, session.times)
     holds = _given(tracks, times, settings) if times is not None else find_holds(tracks, settings.gesture)
     if not holds:
-        raise _no_gesture(session, following, settings)
+        raise no_gesture(len(session.times), following, tracks, settings.gesture)
     said = pair_words(words, [(hold.start_s, hold.end_s) for hold in holds])
     with jax.enable_x64(True):
         held = held_joints(session.rig, following, holds, camera_covariance)
@@ -188,15 +189,6 @@ def _guessed_room(scene: Scene, rig: CameraRig, held: HeldJoints) -> Room:
     low, high = scene.objects.bounds
     apart = np.maximum(inside.min(axis=0) - high, low - inside.max(axis=0)).max()
     return scene.room if apart > max((high - low).max(), np.ptp(inside, axis=0).max()) else grown
-
-
-def _no_gesture(session: Session, following: Following, settings: PointSettings) -> InsufficientDataError:
-    measured = sum(arm is not None for arm in following.arms.values())
-    return InsufficientDataError(
-        f"No gesture was found in {len(session.times)} moments, {measured} of which show an arm: nobody held one "
-        f"stretched out by {settings.gesture.min_stretch:.2f} of the stature for {settings.gesture.min_hold_s:.1f} s; "
-        "lower --gesture.min-stretch, or give --times."
-    )
 
 
 def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
