@@ -278,7 +278,8 @@ def read_json(path: Path) -> Any:
     except FileNotFoundError:
         raise FileFormatError(f"'{path.parent}' has no {path.name}; give the folder of a run of `calibrate`.") from None
     except ValueError as error:
-        raise FileFormatError(f"'{path}' is not JSON: {error}.") from None
+        line = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
+        raise FileFormatError(f"'{path}' is damaged: it is not JSON{line}; make the run anew.") from None
 
 
 def provenance(command: str, inputs: Sequence[Path], seed: int) -> dict[str, Any]:

@@ -34,20 +34,20 @@ def no_gesture(
             "which takes two views; `jaxpoint detect person` with the same options says for every view what was in the "
             "way, and --landmarks of a pose estimator may see more."
         )
-    return InsufficientDataError(f"{found}, though an arm was measured in {shown} of them: {_stiller(tracks, settings)}")
+    return InsufficientDataError(
+        f"{found}, though an arm was measured in {shown} of them: {_stiller(tracks, settings)}"
+    )
 
 
 def _stiller(tracks: Sequence[ArmTrack], settings: GestureSettings) -> str:
     """Which of the two conditions of a gesture was missed, and by how much."""
     farthest = max((float(track.stretch.max()) for track in tracks if len(track.stretch)), default=0.0)
-    held = max(
-        (_stretch(tracks, hold) for hold in find_holds(tracks, replace(settings, min_stretch=0.0))), default=0.0
-    )
+    held = max((_stretch(tracks, hold) for hold in find_holds(tracks, replace(settings, min_stretch=0.0))), default=0.0)
     asked = f"{settings.min_stretch:.2f} of the stature, which --gesture.min-stretch asks for"
     if held < settings.min_stretch <= farthest:
         return (
-            f"it reached {asked}, but was not held still for {settings.min_hold_s:.1f} s there; point for longer, lower "
-            "--gesture.min-hold-s, or say when by --times."
+            f"it reached {asked}, but was not held still for {settings.min_hold_s:.1f} s there; point for longer, "
+            "lower --gesture.min-hold-s, or say when by --times."
         )
     if held < AT_REST * settings.min_stretch:
         return f"nobody held it out; the farthest was {held:.2f}, not {asked}. Point with a straight arm."

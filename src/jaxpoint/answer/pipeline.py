@@ -121,7 +121,7 @@ def pointed(
     """
     assert session.rig is not None
     tracks = arm_tracks(following, session.times)
-    holds = _given(tracks, times, settings) if times is not None else find_holds(tracks, settings.gesture)
+    holds = find_holds(tracks, settings.gesture) if times is None else _given(session, tracks, times, settings)
     if not holds:
         raise no_gesture(len(session.times), following, tracks, settings.gesture)
     said = pair_words(words, [(hold.start_s, hold.end_s) for hold in holds])
@@ -171,13 +171,21 @@ def _centres(objects: Objects) -> Float[np.ndarray, "K 3"]:
     return np.array([np.mean([face.mean(axis=0) for face in faces[name]], axis=0) for name in objects.names])
 
 
-def _given(tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings) -> list[Hold]:
+def _given(
+    session: Session, tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings
+) -> list[Hold]:
     holds = [hold_within(tracks, given.start_s, given.end_s, settings.gesture) for given in times]
     missing = [given for given, hold in zip(times, holds) if hold is None]
     if missing:
+        first, last = float(session.times[0]), float(session.times[-1])
+        when = f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s"
+        if missing[0].end_s < first or missing[0].start_s > last:
+            raise InsufficientDataError(
+                f"{when} there is no recording, which goes from {first:.2f} to {last:.2f} s; give the times on the "
+                "clock of the session."
+            )
         raise InsufficientDataError(
-            f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s no arm was measured in two views; correct "
-            "the times, or leave that gesture out."
+            f"{when} no arm was measured in two views; correct the times, or leave that gesture out."
         )
     return [hold for hold in holds if hold is not None]
 
@@ -197,7 +205,8 @@ def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
     room = " to ".join("(" + ", ".join(f"{value:.1f}" for value in corner) + ")" for corner in (low, high))
     return InsufficientDataError(
         f"Whoever makes the {len(found)} gestures is outside of the room: the first fingertip lies at ({place}) m, the "
-        f"room is {room}; align the calibration to the room of these objects."
+        f"room is {room}; align the calibration to the room of these objects, or correct "
+        f"{'the corners of the room' if scene.room_known else 'the places of the objects, which are to be in metres'}."
     )
 
 

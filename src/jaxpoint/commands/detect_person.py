@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -220,9 +221,28 @@ def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientData
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
     if figures["people"] or not figures["followed"]:
         return None
+    return _unfollowed(command, cameras)
+
+
+def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
+    """Why nobody could be followed: no heads at all, heads of one view only, or heads that do not agree."""
     heads = [camera["heads"] for camera in cameras if camera["heads"]]
-    agreed, of = command.track.confirm
-    return InsufficientDataError(
-        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras,"
-        f" and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}"
+    failed = (
+        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras"
     )
+    if not heads and command.landmarks is not None:
+        return InsufficientDataError(
+            f"{failed}; give landmarks of heads too: 'head', both ears, or 'nose' and both eyes."
+        )
+    if not heads:
+        return InsufficientDataError(
+            f"{failed}, though they show somebody; heads must be inside the images, and between --head.nearest-m "
+            f"({command.settings.head.nearest_m:g}) and --head.farthest-m ({command.settings.head.farthest_m:g}) away."
+        )
+    if len(heads) == 1:
+        return InsufficientDataError(
+            f"{failed}, and it takes two that see the same head: turn the views so that they overlap, and see in the "
+            "table what stood in the way in the others."
+        )
+    agreed, of = command.track.confirm
+    return InsufficientDataError(f"{failed}, and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}")

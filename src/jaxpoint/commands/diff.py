@@ -106,7 +106,10 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
     here, there = (saved.rig.select([saved.rig.names.index(name) for name in names]) for saved in (one, other))
     for name, size, again in zip(names, here.image_sizes.tolist(), there.image_sizes.tolist()):
         if size != again:
-            raise UsageError(f"Camera '{name}' has images of {size} px in '{first}', of {again} px in '{second}'.")
+            raise UsageError(
+                f"Camera '{name}' has images of {size[0]} x {size[1]} px in '{first}', of {again[0]} x {again[1]} px "
+                f"in '{second}'; only calibrations of one mode of a camera can be compared."
+            )
     missing = _uncompared(first, one, second, other, align)
     covariances = None if missing else (_of(one, names), _of(other, names))
     light = _light(first)

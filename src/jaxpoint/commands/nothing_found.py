@@ -6,14 +6,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-_FAINT = "A lower --background.threshold finds fainter people."
+_FAINT = (
+    "A lower --background.threshold finds people who are coloured like the room; a recording of the empty room (empty/) "
+    "those who never leave."
+)
+_STILL = (
+    "See whether these are the right videos; a lower --motion.deviations and --motion.floor-px notice less movement."
+)
 REMEDIES = {
     "no_image": "See whether timestamps.csv belongs to these videos, and whether they are whole.",
     "repeated": "Export the videos anew, each frame once.",
     "too_dark": "Record in more light, or with a longer exposure.",
     "blown_out": "Record in less light, or with a shorter exposure.",
     "light_switched": "Record in light that stays as it is.",
-    "idle": _FAINT,
+    "idle": _STILL,
     "nobody": _FAINT,
     "without_colour": "Record the empty room and the people in one mode of the cameras.",
 }
@@ -25,9 +31,24 @@ OF_THIS_ROOM = (
 """What to look for where views show something that is nowhere in the room."""
 
 
+OF_THE_LIGHT = {
+    "no_image": "see whether its folder or video is whole, and its images are numbered as those of the others",
+    "dark": "see whether the light is in its view at all, or name the light's colour by --channel",
+    "too_large": "darken the room or shorten the exposure, or raise --led-radius-px where the light is that large",
+    "weak": "darken the room, name the light's colour by --channel, or lower --min-deviations",
+    "several": "cover lamps, windows and what mirrors the light, or raise --threshold-fraction",
+    "blurred": "move the light more slowly or shorten the exposure, or raise --max-eccentricity",
+    "unlike": "set --led-radius-px to the light's radius in its images, or cover what is brighter than the light",
+    "at_border": "cover what is bright at the edge of its image, or wave the light in the middle of its view",
+}
+"""Against each `Reason` but that of a light that was found, of a camera that hardly found any."""
+
+
 def commonest(cameras: Sequence[Mapping[str, Any]], otherwise: str = "") -> str:
     """The commonest reason of all frames, and its remedy; `otherwise` is that of a reason not known here."""
     reasons = sum((Counter(camera["reasons"]) for camera in cameras), Counter())
+    if not reasons:
+        return f"though none of them says why. {otherwise}".rstrip()
     (reason, count), *_ = reasons.most_common(1)
     frames = sum(camera["frames"] for camera in cameras)
     return f"most often '{reason}' ({count} of {frames}). {REMEDIES.get(reason, otherwise)}"

@@ -111,7 +111,8 @@ def _lengths(run: Run, settings: ValidateSettings) -> LengthValidation:
     from jaxpoint.io.known import read_landmark_pixels, read_lengths
     from jaxpoint.validation import validate_lengths
 
-    assert settings.lengths is not None and settings.landmark_pixels is not None
+    assert settings.lengths is not None
+    assert settings.landmark_pixels is not None
     clicks = read_landmark_pixels(settings.landmark_pixels, run.calibration.rig.names)
     return validate_lengths(run.calibration, read_lengths(settings.lengths), clicks)
 
@@ -121,15 +122,38 @@ def _judge(lengths: LengthValidation, allowed_mm: float) -> QualityError | None:
         return None
     return QualityError(
         f"The {lengths.count} lengths are off by {lengths.mean_mm:.1f} mm in the mean, above the {allowed_mm:g} mm "
-        "allowed; look at the worst one first, it may be a wrong click."
+        f"allowed; {_cause(lengths, allowed_mm)}."
     )
+
+
+def _cause(lengths: LengthValidation, allowed_mm: float) -> str:
+    """The scale, where all would fit after a change of it; else the length that is worst."""
+    import numpy as np
+
+    counted = np.asarray(lengths.independent)
+    measured, found = np.asarray(lengths.length_m)[counted], np.asarray(lengths.triangulated_m)[counted]
+    ratio = float(np.median(found / measured))
+    if counted.sum() >= 3 and 1e3 * np.abs(found / ratio - measured).mean() <= allowed_mm:
+        how = "long" if ratio > 1 else "short"
+        return (
+            f"all come out {abs(ratio - 1):.1%} too {how}, so it is the scale: measure again what the room was aligned "
+            "to, and see whether both are in metres"
+        )
+    worst = int(np.argmax(np.where(counted, np.abs(lengths.error_mm), -1.0)))
+    return f"look at '{lengths.names[worst]}' first, which is worst: its ends may be clicked or measured wrongly"
 
 
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
     from jaxpoint.validation import validate_held_out
 
     # The timestamps of the run belong to its own recording.
-    return validate_held_out(run.calibration.rig, tracks_from(path, replace(run.config.input, timestamps=None)))
+    tracks, names = tracks_from(path, replace(run.config.input, timestamps=None)), run.calibration.rig.names
+    if sorted(tracks.names) != sorted(names):
+        raise UsageError(
+            f"'{path}' has the cameras {', '.join(tracks.names)}, the calibration {', '.join(names)}; give tracks of "
+            "the same cameras under the same names."
+        )
+    return validate_held_out(run.calibration.rig, tracks.select_cameras([tracks.names.index(name) for name in names]))
 
 
 def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationDifference]:

@@ -19,6 +19,8 @@ BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
 LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
+_BEYOND, _WITHIN = 0.75, 0.1  # rejected fractions on either side of the radius from which a lens model fails
+_WHOLE = 0.8  # of a camera's observations that are rejected: it fits the others at no time
 _SOLVE_OFFSETS = "Calibrate with `--time-offsets` (calibrate.time_offsets = true), which solves for the offsets"
 
 
@@ -138,12 +140,22 @@ def on_outliers(
         count = int(rejected[:, camera].sum())
         if count < 8:
             continue
-        others = float(np.median(np.delete(rate, camera)))
+        others = float(np.median(np.delete(rate, camera))) if len(names) > 1 else 0.0
+        limit = _edge_of_lens(pixels[:, camera], sizes[camera], judged[:, camera], rejected[:, camera])
+        if limit is not None:
+            yield Advice(
+                f"Camera {name} is rejected almost throughout beyond {limit:.0f} px from the middle of its image, and "
+                "hardly within.",
+                "The lens bends more there than its model: ask for more terms "
+                '(lens.distortion = "brown"), or leave out what lies beyond.',
+                urgent=bool(rate[camera] > 0.3),
+            )
+            continue  # so neither a reflection nor a touched camera is the cause
         if rate[camera] > max(0.05, 3 * others):
             yield Advice(
                 f"Camera {name} has {rate[camera]:.0%} of its observations rejected; the others {others:.0%}.",
-                "Look at its worst frames below: a second light, a reflection, or a camera that was moved or is out of "
-                "step.",
+                "Look at its worst frames below: a second light, a reflection, a camera that was moved or is out of "
+                "step, or one whose recording belongs to another room or day.",
                 urgent=bool(rate[camera] > 0.3),
             )
         place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
@@ -155,9 +167,15 @@ def on_outliers(
             )
         when = _gathered_time(judged[:, camera], rejected[:, camera])
         if when is not None:
+            span = f"frames {frame_ids[when[0]]} to {frame_ids[when[1]]}"
+            whole = rate[camera] > _WHOLE
             yield Advice(
-                f"Camera {name} is rejected almost throughout frames {frame_ids[when[0]]} to {frame_ids[when[1]]}.",
-                "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again.",
+                f"Camera {name} is rejected almost throughout {span}.",
+                "It fits the others nowhere: see whether its images are of the same room and times, and not mirrored "
+                "or turned; or leave it out."
+                if whole
+                else "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate "
+                "again.",
                 urgent=True,
             )
 
@@ -284,7 +302,8 @@ def on_principal_points(
         yield Advice(
             f"The principal point of camera {names[camera]} lies {np.linalg.norm(off[camera]):.0%} of the image width "
             "from its middle.",
-            "Was the image cropped, or the size given wrongly? If not, cover more of that image with the light.",
+            "Was the image cropped, are its pixels not square, or is its size given wrongly? If none of these, cover "
+            "more of that image with the light.",
         )
 
 
@@ -334,6 +353,20 @@ def _gathered_place(pixels: np.ndarray, size: np.ndarray) -> tuple[float, np.nda
         return None
     there = (row * GRID[0] + column) == cells[fullest]
     return float(there.mean()), np.median(pixels[there], axis=0)
+
+
+def _edge_of_lens(
+    pixels: np.ndarray, size: np.ndarray, judged: np.ndarray, rejected: np.ndarray, least: int = 20
+) -> float | None:
+    """The radius beyond which most observations are rejected and within which hardly any are; None without one."""
+    radius = np.linalg.norm(pixels[judged] - (size - 1) / 2, axis=1)
+    order = np.argsort(-radius, kind="stable")
+    bad = rejected[judged][order]
+    beyond, count = np.cumsum(bad), np.arange(1, len(bad) + 1)
+    within = (bad.sum() - beyond) / np.maximum(len(bad) - count, 1)
+    edge = (count >= least) & (count < 0.9 * len(bad)) & (beyond >= _BEYOND * count) & (within <= _WITHIN)
+    farthest = np.flatnonzero(edge)
+    return float(radius[order][farthest[-1]]) if farthest.size else None
 
 
 def _gathered_time(judged: np.ndarray, rejected: np.ndarray, window: int = 30) -> tuple[int, int] | None:
