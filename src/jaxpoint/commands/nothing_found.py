@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 _FAINT = (
-    "A lower --background.threshold finds people who are coloured like the room; a recording of the empty room (empty/) "
+    "A lower --background.threshold finds people coloured like the room; a recording of the empty room (empty/) "
     "those who never leave."
 )
 _STILL = (

@@ -19,7 +19,8 @@ BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
 LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
-_BEYOND, _WITHIN = 0.75, 0.1  # rejected fractions on either side of the radius from which a lens model fails
+_EDGE = 0.03  # of a camera's observations beyond the radius from which its lens model fails: it is no mere border
+_REACHED = 0.9  # of the radius where a lens model folds back; light that was seen there shaped it
 _WHOLE = 0.8  # of a camera's observations that are rejected: it fits the others at no time
 _SOLVE_OFFSETS = "Calibrate with `--time-offsets` (calibrate.time_offsets = true), which solves for the offsets"
 
@@ -141,14 +142,16 @@ def on_outliers(
         if count < 8:
             continue
         others = float(np.median(np.delete(rate, camera))) if len(names) > 1 else 0.0
-        limit = _edge_of_lens(pixels[:, camera], sizes[camera], judged[:, camera], rejected[:, camera])
-        if limit is not None:
+        place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
+        edge = _edge_of_lens(pixels[:, camera], sizes[camera], judged[:, camera], rejected[:, camera])
+        if edge is not None and place is None:
+            limit, beyond, within = edge
             yield Advice(
-                f"Camera {name} is rejected almost throughout beyond {limit:.0f} px from the middle of its image, and "
-                "hardly within.",
+                f"Camera {name} has {beyond:.0%} of its observations rejected that lie more than {limit:.0f} px from "
+                f"the middle of its image, and {within:.0%} of the others.",
                 "The lens bends more there than its model: ask for more terms "
                 '(lens.distortion = "brown"), or leave out what lies beyond.',
-                urgent=bool(rate[camera] > 0.3),
+                urgent=bool(rate[camera] - within > _EDGE * (beyond - within)),
             )
             continue  # so neither a reflection nor a touched camera is the cause
         if rate[camera] > max(0.05, 3 * others):
@@ -158,7 +161,6 @@ def on_outliers(
                 "step, or one whose recording belongs to another room or day.",
                 urgent=bool(rate[camera] > 0.3),
             )
-        place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
         if place is not None:
             share, (x, y) = place
             yield Advice(
@@ -168,16 +170,18 @@ def on_outliers(
         when = _gathered_time(judged[:, camera], rejected[:, camera])
         if when is not None:
             span = f"frames {frame_ids[when[0]]} to {frame_ids[when[1]]}"
-            whole = rate[camera] > _WHOLE
-            yield Advice(
-                f"Camera {name} is rejected almost throughout {span}.",
-                "It fits the others nowhere: see whether its images are of the same room and times, and not mirrored "
-                "or turned; or leave it out."
-                if whole
-                else "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate "
-                "again.",
-                urgent=True,
-            )
+            yield _of_a_time(name, span, everywhere=bool(rate[camera] > _WHOLE))
+
+
+def _of_a_time(name: str, span: str, everywhere: bool) -> Advice:
+    """Of a camera that the others contradict for a while; `everywhere`: at nearly all times."""
+    remedy = "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again."
+    if everywhere:
+        remedy = (
+            "It fits the others nowhere: see whether its images are of the same room and times, and not mirrored or "
+            "turned; or leave it out."
+        )
+    return Advice(f"Camera {name} is rejected almost throughout {span}.", remedy, urgent=True)
 
 
 def on_borders(
@@ -283,12 +287,16 @@ def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
 
 
 def on_lenses(names: Sequence[str], lens: Lens) -> Iterator[Advice]:
-    """A lens polynomial that folds back within the image, where the light never was."""
+    """A lens polynomial that folds back within the image: where the light never was, or because the lens is wider."""
     for camera in np.flatnonzero(lens.turning <= lens.corner).tolist():
+        reached = lens.farthest[camera] >= _REACHED * lens.turning[camera]
         yield Advice(
             f"The lens model of camera {names[camera]} stops growing {lens.turning[camera]:.0f} px from its middle, "
             "before the image corner.",
-            "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
+            "Pixels beyond cannot be undistorted, though the light was there: the lens is too wide for this model; do "
+            "not use the edge of that image."
+            if reached
+            else "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
             'distortion terms (lens.distortion = "radial1").',
         )
 
@@ -356,17 +364,29 @@ def _gathered_place(pixels: np.ndarray, size: np.ndarray) -> tuple[float, np.nda
 
 
 def _edge_of_lens(
-    pixels: np.ndarray, size: np.ndarray, judged: np.ndarray, rejected: np.ndarray, least: int = 20
-) -> float | None:
-    """The radius beyond which most observations are rejected and within which hardly any are; None without one."""
-    radius = np.linalg.norm(pixels[judged] - (size - 1) / 2, axis=1)
+    pixels: np.ndarray, size: np.ndarray, judged: np.ndarray, rejected: np.ndarray
+) -> tuple[float, float, float] | None:
+    """A radius (px from the image's middle) beyond which far more is rejected than within, and both fractions.
+
+    Of all radii the one that tells the two apart best (largest likelihood of two fractions); None where there is none.
+    """
+    radius, bad = np.linalg.norm(pixels[judged] - (size - 1) / 2, axis=1), rejected[judged]
     order = np.argsort(-radius, kind="stable")
-    bad = rejected[judged][order]
-    beyond, count = np.cumsum(bad), np.arange(1, len(bad) + 1)
-    within = (bad.sum() - beyond) / np.maximum(len(bad) - count, 1)
-    edge = (count >= least) & (count < 0.9 * len(bad)) & (beyond >= _BEYOND * count) & (within <= _WITHIN)
-    farthest = np.flatnonzero(edge)
-    return float(radius[order][farthest[-1]]) if farthest.size else None
+    count, caught = np.arange(1, len(bad)), np.cumsum(bad[order])[:-1]
+    rest, missed = len(bad) - count, bad.sum() - caught
+    beyond, within = caught / count, missed / rest
+    told = _log_likelihood(beyond, count) + _log_likelihood(within, rest)
+    clear = (count >= 20) & (beyond >= 0.4) & (within <= beyond / 5) & (caught >= 0.3 * bad.sum())
+    if not clear.any():
+        return None
+    best = int(np.where(clear, told, -np.inf).argmax())
+    return float(radius[order][best]), float(beyond[best]), float(within[best])
+
+
+def _log_likelihood(share: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """Of that share of so many, under its own best fraction."""
+    safe = np.clip(share, 1e-9, 1 - 1e-9)
+    return count * (share * np.log(safe) + (1 - share) * np.log(1 - safe))
 
 
 def _gathered_time(judged: np.ndarray, rejected: np.ndarray, window: int = 30) -> tuple[int, int] | None:
