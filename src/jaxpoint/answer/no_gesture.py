@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from jaxpoint.answer.holds import ArmTrack, Hold, find_holds
+from jaxpoint.answer.holds import ArmTrack, find_holds
 from jaxpoint.config.point import GestureSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.person.following import Following
 
 SELDOM = 0.2  # of the moments of followed people with a measured arm; below, arms are missed rather than at rest
-AT_REST = 0.6  # of the stretch asked for, which hanging arms stay below
+AT_REST = 0.17  # of the stature, the stretch that hanging arms reach: less must not be asked for
 
 
 def no_gesture(
@@ -42,22 +40,32 @@ def no_gesture(
 def _stiller(tracks: Sequence[ArmTrack], settings: GestureSettings) -> str:
     """Which of the two conditions of a gesture was missed, and by how much."""
     farthest = max((float(track.stretch.max()) for track in tracks if len(track.stretch)), default=0.0)
-    held = max((_stretch(tracks, hold) for hold in find_holds(tracks, replace(settings, min_stretch=0.0))), default=0.0)
     asked = f"{settings.min_stretch:.2f} of the stature, which --gesture.min-stretch asks for"
-    if held < settings.min_stretch <= farthest:
+    held = _farthest_held(tracks, settings)
+    if held is not None:
+        return (
+            f"the farthest that one was held out was {held:.2f}, not {asked}; point with a straight arm, or lower that "
+            f"to {held:.2f}."
+        )
+    if farthest >= settings.min_stretch:
         return (
             f"it reached {asked}, but was not held still for {settings.min_hold_s:.1f} s there; point for longer, "
             "lower --gesture.min-hold-s, or say when by --times."
         )
-    if held < AT_REST * settings.min_stretch:
-        return f"nobody held it out; the farthest was {held:.2f}, not {asked}. Point with a straight arm."
     return (
-        f"the farthest that one was held out was {held:.2f}, not {asked}; point with a straight arm, or lower that to "
-        f"{np.floor(100 * held) / 100:.2f}."
+        f"none was held out farther than {AT_REST:.2f} of the stature, as arms hang, and {settings.min_stretch:.2f} is "
+        "asked for; point with a straight arm, or say when by --times."
     )
 
 
-def _stretch(tracks: Sequence[ArmTrack], hold: Hold) -> float:
-    """The least stretch of a hold: to be asked for it must reach that in all of its moments."""
-    track = next(track for track in tracks if track.person == hold.person)
-    return float(track.stretch[np.isin(track.moments, hold.moments)].min())
+def _farthest_held(tracks: Sequence[ArmTrack], settings: GestureSettings) -> float | None:
+    """The largest stretch, in hundredths, that would find a gesture if it were asked for; None at that of rest."""
+    low, high = round(100 * AT_REST) + 1, int(100 * settings.min_stretch)
+    best = None
+    while low <= high:
+        middle = (low + high) // 2
+        if find_holds(tracks, replace(settings, min_stretch=middle / 100)):
+            best, low = middle / 100, middle + 1
+        else:
+            high = middle - 1
+    return best
