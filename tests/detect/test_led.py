@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jaxpoint import LedSettings, detect_led
-from jaxpoint.commands.nothing_found import OF_THE_LIGHT
 from jaxpoint.detect.led import DetectionInterrupted, Reason, camera_names
 from jaxpoint.errors import InsufficientDataError, UsageError
 
@@ -177,8 +176,3 @@ def test_arctic_is_green_in_all_cameras_and_well_measured(arctic):
     assert all(0.9 < stats.radius_px < 1.5 for stats in detection.cameras)
     assert all(stats.sigma_px < 0.1 for stats in detection.cameras)
     assert detection.tracks.names == ("arctic1", "arctic2", "arctic3", "arctic4")
-
-
-def test_every_reason_has_its_own_remedy():
-    assert set(OF_THE_LIGHT) == {reason.name.lower() for reason in Reason if reason != Reason.FOUND}
-    assert len(set(OF_THE_LIGHT.values())) == len(OF_THE_LIGHT)

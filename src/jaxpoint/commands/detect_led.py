@@ -11,7 +11,6 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import detection_summary, hush_opencv
-from jaxpoint.commands.nothing_found import OF_THE_LIGHT
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import LedSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError
@@ -85,12 +84,10 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
     blind = [camera for camera in figures["cameras"] if not camera["found"]]
     if not blind:
         return None
-    rejected = blind[0]["rejected"]
-    reason = max(rejected, key=rejected.get, default="no_image")
-    see = f" See {page}." if page.exists() else ""
+    reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
     return InsufficientDataError(
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
-        f"reason '{reason}'; the tracks are kept: {OF_THE_LIGHT[reason]}.{see}"
+        f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel."
     )
 
 

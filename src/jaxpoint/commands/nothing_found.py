@@ -31,19 +31,6 @@ OF_THIS_ROOM = (
 """What to look for where views show something that is nowhere in the room."""
 
 
-OF_THE_LIGHT = {
-    "no_image": "see whether its folder or video is whole, and its images are numbered as those of the others",
-    "dark": "see whether the light is in its view at all, or name the light's colour by --channel",
-    "too_large": "darken the room or shorten the exposure, or raise --led-radius-px where the light is that large",
-    "weak": "darken the room, name the light's colour by --channel, or lower --min-deviations",
-    "several": "cover lamps, windows and what mirrors the light, or raise --threshold-fraction",
-    "blurred": "move the light more slowly or shorten the exposure, or raise --max-eccentricity",
-    "unlike": "set --led-radius-px to the light's radius in its images, or cover what is brighter than the light",
-    "at_border": "cover what is bright at the edge of its image, or wave the light in the middle of its view",
-}
-"""Against each `Reason` but that of a light that was found, of a camera that hardly found any."""
-
-
 def commonest(cameras: Sequence[Mapping[str, Any]], otherwise: str = "") -> str:
     """The commonest reason of all frames, and its remedy; `otherwise` is that of a reason not known here."""
     reasons = sum((Counter(camera["reasons"]) for camera in cameras), Counter())

@@ -108,8 +108,6 @@ def _without_points(slopes, residuals, velocity) -> tuple[Float[np.ndarray, "F C
 def _correlation(speed, known, a, b, lag) -> float:
     """Correlation of the speeds of a in frame f and of b in frame f + lag."""
     frames = len(speed)
-    if abs(lag) >= frames:
-        return float("nan")
     first = slice(max(0, -lag), frames - max(0, lag))
     second = slice(max(0, lag), frames - max(0, -lag))
     both = known[first, a] & known[second, b]
