@@ -138,7 +138,7 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         ((folder, "--calibration", no_scale), 2, "has no metric scale"),
         ((folder, "--calibration", small), 2, "is 512 x 288 px, but"),
         ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "is outside of the room"),
-        ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured, as the recording"),
+        ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured, as the"),
         ((folder, "--line", "blend"), 2, "The weights of a blend"),
         ((folder, "--room.low", 0, 0, 0), 2, "low and high corner both"),
         ((folder, "--room.low", 0, 0, 0, "--room.high", 6, 5, "nan"), 2, "'room.high[2]' cannot be used"),

@@ -181,8 +181,8 @@ def _given(
         when = f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s"
         if missing[0].end_s < first or missing[0].start_s > last:
             raise InsufficientDataError(
-                f"{when} no arm was measured, as the recording goes from {first:.2f} to {last:.2f} s; give the times on "
-                "its clock."
+                f"{when} no arm was measured, as the recording goes from {first:.2f} to {last:.2f} s; give the "
+                "times on its clock."
             )
         raise InsufficientDataError(
             f"{when} no arm was measured in two views; correct the times, or leave that gesture out."
