@@ -48,8 +48,9 @@ def run(*arguments, capsys):
 def test_a_moved_camera_is_found_and_shown(runs, tmp_path, capsys):
     folder, first, _ = runs
     code, out, err = run(folder / "first", folder / "second", "--out", tmp_path / "page", capsys=capsys)
-    assert (code, err) == (0, "")
     name = first.rig.names[MOVED]
+    assert (code, err.count("\n")) == (5, 1)
+    assert f"what their uncertainties allow, most of all in {name}" in err
     assert f"{name} stands out" in out
     assert next(line for line in out.splitlines() if line.startswith(name)).endswith("*")
     assert out.splitlines()[-1] == f"Report: {tmp_path / 'page' / 'report.html'}"
@@ -124,3 +125,14 @@ def test_what_cannot_be_compared_is_refused(runs, tmp_path, capsys):
     code, _, err = run(folder / "first", tmp_path / "nothing.json", capsys=capsys)
     assert code == 7
     assert not (tmp_path / "page").exists()
+
+
+def test_a_run_without_covariance_says_why_and_nothing_is_judged(runs, tmp_path, capsys):
+    folder, first, _ = runs
+    bare = replace(first, camera_covariance=None, gauge=None, undetermined="The light hardly moved.")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("jaxpoint.runs.write_report", lambda path, *_, **__: Path(path).write_text("page"))
+        write_run(tmp_path / "bare", bare, RoomConfig(), command="test")
+    code, out, err = run(folder / "second", tmp_path / "bare", capsys=capsys)
+    assert (code, err) == (0, "")
+    assert f"'{tmp_path / 'bare'}' holds no covariance, because of this: The light hardly moved." in out

@@ -8,12 +8,13 @@ import pytest
 
 from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
 from jaxpoint.calibration.result import Calibration, PairTable, Verdict
+from jaxpoint.commands.validate import _judge as judge_lengths
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.landmarks import LandmarkPixels, Lengths, locate
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.triangulation import triangulate
-from jaxpoint.validation import compare_calibrations, validate_held_out, validate_lengths
+from jaxpoint.validation import LengthValidation, compare_calibrations, validate_held_out, validate_lengths
 
 ROOM = random_room(5, cameras=5, frames=128, layout="around", visibility=1.0, outliers=0.0, noise_px=0.5)
 CORNERS = np.array([[x, y, z] for x in (2.0, 3.5) for y in (1.5, 3.0) for z in (0.8, 1.8)])  # in the views of all
@@ -225,3 +226,31 @@ def test_parts_without_a_frame_in_common():
         compare_calibrations(hardly, second)
     with pytest.raises(ValueError, match="The cameras differ"):
         compare_calibrations(TRUTH, dataclasses.replace(TRUTH, rig=ROOM.rig.select([1, 0, 2, 3, 4])))
+
+
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        ([1.02, 2.04, 3.061], "all come out 2.0% too long, so it is the scale"),
+        ([0.97, 1.94, 2.911], "all come out 3.0% too short"),
+        ([1.001, 2.2, 2.999], "look at 'second' first"),
+    ],
+)
+def test_lengths_that_miss_name_the_scale_or_the_worst(found, says):
+    measured, found = np.array([1.0, 2.0, 3.0]), np.array(found)
+    error = 1e3 * (found - measured)
+    lengths = LengthValidation(
+        names=("first", "second", "third"),
+        length_m=measured,
+        triangulated_m=found,
+        error_mm=error,
+        sigma_mm=np.ones(3),
+        independent=np.ones(3, bool),
+        count=3,
+        mean_mm=float(np.abs(error).mean()),
+        max_mm=float(np.abs(error).max()),
+        expected_mean_mm=1.0,
+        warnings=(),
+    )
+    assert says in str(judge_lengths(lengths, 10.0))
+    assert judge_lengths(lengths, 1000.0) is None

@@ -90,7 +90,8 @@ def validate_lengths(
     """
     if calibration.unit != "m":
         raise UsageError(
-            f"The calibration's unit is {calibration.unit}, lengths in metres cannot be compared; align it first."
+            f"The calibration's unit is {calibration.unit}, lengths in metres cannot be compared; bring it into the "
+            "room first, by `jaxpoint align`."
         )
     used = set(calibration.alignment.names) if calibration.alignment is not None else set()
     independent = np.array([not used.issuperset(ends) for ends in lengths.ends])
@@ -183,7 +184,8 @@ def validate_held_out(rig: CameraRig, tracks: Tracks) -> HeldOutValidation:
     visible = tracks.visible & (tracks.visible.sum(axis=1, keepdims=True) >= 2)
     if not visible.any():
         raise InsufficientDataError(
-            f"None of the {tracks.frames} held-out frames is seen by two cameras; hold out others."
+            f"None of the {tracks.frames} held-out frames is seen by two cameras; take a recording "
+            "in which the light is seen by two at once."
         )
     with jax.enable_x64(True):
         found = triangulate(rig, tracks.pixels, visible)
@@ -236,7 +238,10 @@ def compare_calibrations(first: Calibration, second: Calibration) -> Calibration
         seen_again = triangulate(second.rig, first.tracks.pixels, first.kept)
         common = first.point_valid & np.asarray(seen_again.valid)
         if common.sum() < 3:
-            raise InsufficientDataError(f"Only {common.sum()} frames have a point in both rigs; 3 are needed.")
+            raise InsufficientDataError(
+                f"Only {common.sum()} frames have a point in both rigs, and 3 are needed to compare them; record more, "
+                "so that each half suffices for a calibration."
+            )
         points, again = np.asarray(first.points)[common], np.asarray(seen_again.points)[common]
         centres = np.asarray(first.rig.positions)
         source = np.concatenate([np.asarray(second.rig.positions), again])

@@ -83,3 +83,9 @@ def test_the_order_of_people_does_not_matter():
     both = [find_holds(tracks, GestureSettings()) for tracks in ([one, other], [other, one])]
     assert [(h.person, h.start_s) for h in both[0]] == [(h.person, h.start_s) for h in both[1]]
     assert [hold.person for hold in both[0]] == [0, 1, 0]
+
+
+def test_an_arm_of_which_no_view_has_a_say_ends_nothing():
+    arm = replace(track(), views=np.zeros(45, int))
+    assert len(find_holds([arm], GestureSettings())) == 2
+    assert hold_within([arm], 10 * PERIOD, 18 * PERIOD, GestureSettings()) is None

@@ -117,3 +117,26 @@ def test_bad_landmarks_are_told(tmp_path, capsys, line, says):
     assert main(["detect", "person", str(SESSION), "--landmarks", str(path), "--out", str(out)]) == 7
     assert says in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_a_forearm_that_no_view_has_whole_is_none_and_ends_nothing(landmarks, tmp_path, capsys):
+    """The elbow in some cameras and the wrist in the others: both can be triangulated, but no view has a say."""
+    header, *lines = landmarks.read_text().splitlines()
+    apart = [
+        line
+        for line in lines
+        if ("elbow" not in line or line.split(",")[1] in ("cam_0", "cam_1", "cam_2"))
+        and ("wrist" not in line or line.split(",")[1] not in ("cam_0", "cam_1", "cam_2"))
+    ]
+    (tmp_path / "apart.csv").write_text("\n".join([header, *apart]))
+    given = ["--landmarks", str(tmp_path / "apart.csv"), "--out", str(tmp_path / "out")]
+    assert main(["point", str(SESSION), *given]) == 4
+    assert "a whole forearm was measured in 0 only" in capsys.readouterr().err
+
+
+def test_landmarks_without_heads_are_told_so(landmarks, tmp_path, capsys):
+    header, *lines = landmarks.read_text().splitlines()
+    (tmp_path / "arms.csv").write_text("\n".join([header, *(line for line in lines if ",head," not in line)]))
+    given = ["--landmarks", str(tmp_path / "arms.csv"), "--out", str(tmp_path / "out")]
+    assert main(["detect", "person", str(SESSION), *given]) == 4
+    assert "give landmarks of heads too" in capsys.readouterr().err

@@ -86,6 +86,11 @@ def test_the_advice_names_the_best_places(accuracy):
     (told,) = on_accuracy(replace(accuracy, gains=(Gain(0, (0, 1), 4.0, 3.96),)), names)
     assert "hardly helps" in told.remedy
     assert list(on_accuracy(None, names)) == []
+    # Along a corridor every place is seen by two cameras, but no camera sees most of a part.
+    (told,) = on_accuracy(replace(accuracy, gains=(Gain(1, (), 4.0, 3.0), Gain(0, (3,), 4.0, 3.2))), names)
+    assert "seen by :" not in told.remedy
+    assert "seen by d: −20%" in told.remedy
+    assert ": −25%;" in told.remedy
 
 
 def test_the_sentence_says_which_source_dominates(accuracy):

@@ -92,6 +92,33 @@ def test_outliers_of_one_time(pixels, visible):
     assert item.urgent
 
 
+def test_outliers_that_begin_at_a_radius_mean_the_lens_and_no_touched_camera(pixels, visible):
+    radius = np.linalg.norm(pixels[:, 2] - [319.5, 239.5], axis=1)
+    rejected = np.zeros_like(visible)
+    rejected[:, 2] = (radius > 250) & (RNG.random(400) < 0.9)
+    rejected[::50, 2] = True
+    late = np.argsort(radius)  # the light goes outwards, so that the outliers gather in time too
+    (item,) = adv.on_outliers(NAMES, SIZES, pixels[late], visible, rejected[late], np.arange(400))
+    assert "Camera right" in item.finding
+    assert "px from the middle of its image" in item.finding
+    assert "lens" in item.remedy
+    assert "touched" not in item.remedy
+    assert item.urgent
+
+
+def test_a_camera_that_fits_nowhere_was_not_touched(pixels, visible):
+    rejected = np.zeros_like(visible)
+    rejected[:, 0] = RNG.random(400) < 0.95
+    found = texts(adv.on_outliers(NAMES, SIZES, pixels, visible, rejected, np.arange(400)))
+    assert "same room and times" in found[-1]
+    assert not any("touched" in text for text in found)
+
+
+def test_outliers_of_a_single_camera_need_no_others(pixels, visible):
+    found = texts(adv.on_outliers(NAMES[:1], SIZES[:1], pixels[:, :1], visible[:, :1], visible[:, :1], np.arange(400)))
+    assert "100% of its observations rejected" in found[0]
+
+
 def test_outliers_at_the_edge_of_the_image(pixels, visible):
     rejected = np.zeros_like(visible)
     rejected[::10, 2] = True
@@ -138,6 +165,9 @@ def test_a_lens_that_folds_within_the_image():
     )
     (text,) = texts(adv.on_lenses(NAMES, lens))
     assert "middle stops growing 300 px" in text
+    assert "wave the light" in text
+    (text,) = texts(adv.on_lenses(NAMES, replace(lens, farthest=np.full(3, 290.0))))
+    assert "too wide for this model" in text
 
 
 def test_a_principal_point_far_off():

@@ -126,8 +126,11 @@ def _hold(track: ArmTrack, members: Int[np.ndarray, " M"]) -> Hold:
 
 
 def _most_agreed(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSettings) -> Int[np.ndarray, " M"]:
-    """The largest set of moments around one of them that agree with it; weighed by their views."""
-    best, most = np.zeros(0, int), 0
+    """The largest set of moments around one of them that agree with it; weighed by their views.
+
+    Empty only where no moment is free: an arm of which no view has a say still makes a set.
+    """
+    best, most = np.zeros(0, int), -1
     for seed in np.flatnonzero(free):
         members = _around(track, int(seed), free, settings)
         weight = int(track.views[members].sum())

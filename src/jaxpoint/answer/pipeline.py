@@ -14,6 +14,7 @@ from jaxpoint.answer.answers import Answer, Scene, answers
 from jaxpoint.answer.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
 from jaxpoint.answer.hypotheses import Correction, hypotheses
 from jaxpoint.answer.lines import HeldJoints, held_joints
+from jaxpoint.answer.no_gesture import no_gesture
 from jaxpoint.answer.words import Interval, Word, evidence_of, pair_words
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.point import PointSettings, RoomExtent
@@ -120,9 +121,9 @@ def pointed(
     """
     assert session.rig is not None
     tracks = arm_tracks(following, session.times)
-    holds = _given(tracks, times, settings) if times is not None else find_holds(tracks, settings.gesture)
+    holds = find_holds(tracks, settings.gesture) if times is None else _given(session, tracks, times, settings)
     if not holds:
-        raise _no_gesture(session, following, settings)
+        raise no_gesture(len(session.times), following, tracks, settings.gesture)
     said = pair_words(words, [(hold.start_s, hold.end_s) for hold in holds])
     with jax.enable_x64(True):
         held = held_joints(session.rig, following, holds, camera_covariance)
@@ -170,13 +171,21 @@ def _centres(objects: Objects) -> Float[np.ndarray, "K 3"]:
     return np.array([np.mean([face.mean(axis=0) for face in faces[name]], axis=0) for name in objects.names])
 
 
-def _given(tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings) -> list[Hold]:
+def _given(
+    session: Session, tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings
+) -> list[Hold]:
     holds = [hold_within(tracks, given.start_s, given.end_s, settings.gesture) for given in times]
     missing = [given for given, hold in zip(times, holds) if hold is None]
     if missing:
+        first, last = float(session.times[0]), float(session.times[-1])
+        when = f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s"
+        if missing[0].end_s < first or missing[0].start_s > last:
+            raise InsufficientDataError(
+                f"{when} no arm was measured, as the recording goes from {first:.2f} to {last:.2f} s; give the "
+                "times on its clock."
+            )
         raise InsufficientDataError(
-            f"Between {missing[0].start_s:.2f} and {missing[0].end_s:.2f} s no arm was measured in two views; correct "
-            "the times, or leave that gesture out."
+            f"{when} no arm was measured in two views; correct the times, or leave that gesture out."
         )
     return [hold for hold in holds if hold is not None]
 
@@ -190,22 +199,14 @@ def _guessed_room(scene: Scene, rig: CameraRig, held: HeldJoints) -> Room:
     return scene.room if apart > max((high - low).max(), np.ptp(inside, axis=0).max()) else grown
 
 
-def _no_gesture(session: Session, following: Following, settings: PointSettings) -> InsufficientDataError:
-    measured = sum(arm is not None for arm in following.arms.values())
-    return InsufficientDataError(
-        f"No gesture was found in {len(session.times)} moments, {measured} of which show an arm: nobody held one "
-        f"stretched out by {settings.gesture.min_stretch:.2f} of the stature for {settings.gesture.min_hold_s:.1f} s; "
-        "lower --gesture.min-stretch, or give --times."
-    )
-
-
 def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
     low, high = np.asarray(scene.room.low), np.asarray(scene.room.high)
     place = ", ".join(f"{value:.2f}" for value in found[0].origin)
     room = " to ".join("(" + ", ".join(f"{value:.1f}" for value in corner) + ")" for corner in (low, high))
     return InsufficientDataError(
         f"Whoever makes the {len(found)} gestures is outside of the room: the first fingertip lies at ({place}) m, the "
-        f"room is {room}; align the calibration to the room of these objects."
+        f"room is {room}; align the calibration to the room of these objects, or correct "
+        f"{'the corners of the room' if scene.room_known else 'the places of the objects, which are to be in metres'}."
     )
 
 

@@ -12,6 +12,7 @@ from jaxpoint.answer.pipeline import Pointed, faces_of
 from jaxpoint.answer.sentence import sentence
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detect.colour import Image
+from jaxpoint.extras import extra
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import open_frames
 from jaxpoint.person.arms import ArmReason, PointingArm
@@ -50,6 +51,7 @@ def gestures_shown(
     pointed: Pointed,
     images: Sequence[Sequence[Image | None]],
     truth: Mapping[int, str] | None = None,
+    missing: list[str] | None = None,
 ) -> list[GestureShown]:
     """Every gesture as the page shows it.
 
@@ -59,23 +61,29 @@ def gestures_shown(
         pointed: the answers.
         images: of every camera (outer) at the moment of each gesture, as `images_of` gives them.
         truth: what is meant, by the gesture's number, where it is known.
+        missing: takes a sentence for each picture that could not be made.
     """
     assert session.rig is not None
     faces = faces_of(pointed.scene.objects)
     shown = []
     for i, answer in enumerate(pointed.answers):
-        arm = following.arms[pointed.moments[i], pointed.people[i]]
-        views = [
-            _view(session.rig, camera, image, answer, arm, faces)
-            for camera in range(len(session.names))
-            if (image := images[camera][i]) is not None
-        ]
-        sheet = pointing_sheet(views)[..., ::-1]
+        sheet = None
+        with extra(f"the picture of gesture {answer.number}", [] if missing is None else missing):
+            arm = following.arms.get((pointed.moments[i], pointed.people[i]))
+            sheet = _sheet(session.rig, answer, arm, [own[i] for own in images], faces)
         shown.append(_shown(answer, sheet, None if truth is None else truth.get(answer.number, "")))
     return shown
 
 
-def _shown(answer: Answer, sheet: np.ndarray, meant: str | None) -> GestureShown:
+def _sheet(
+    rig: CameraRig, answer: Answer, arm: PointingArm | None, images: Sequence[Image | None], faces: Mapping[str, list]
+) -> np.ndarray | None:
+    """All views, red, green, blue; None where no camera has an image: landmarks may be given of such moments too."""
+    views = [_view(rig, camera, image, answer, arm, faces) for camera, image in enumerate(images) if image is not None]
+    return pointing_sheet(views)[..., ::-1] if views else None
+
+
+def _shown(answer: Answer, sheet: np.ndarray | None, meant: str | None) -> GestureShown:
     text = sentence(answer)
     truth = ""
     if meant:

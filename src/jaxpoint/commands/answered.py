@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxpoint.config import RoomConfig
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
@@ -24,22 +25,24 @@ def write_answers(
     session: Session,
     following: Following,
     pointed: Pointed,
+    missing: list[str] | None = None,
     *,
     truth: Mapping[int, str] | None = None,
     intro: Sequence[str] = (),
     links: Sequence[tuple[str, str]] = (),
     tiles: Sequence[tuple[str, str]] = (),
-    more: Callable[[Path], object] | None = None,
+    more: Callable[[Path], Callable[[Path, list[str]], None]] | None = None,
     title: str = "What was pointed at",
     kind: str = "jaxpoint point",
 ) -> dict[str, Any]:
-    """The folder of answers, whole or not at all, and its figures.
+    """The folder of answers, whole or not at all, then its pictures and its page; returns its figures.
 
     Args:
         command: its settings.
+        missing: takes a sentence for each picture or page that could not be made.
         truth: what is meant, by the number of the gesture.
         intro, links, tiles, title, kind: of the page.
-        more: writes what else belongs into the folder.
+        more: writes what else belongs into the folder, and returns what writes its pages into the folder's last place.
     """
     from jaxpoint.answer.sentence import as_json
     from jaxpoint.answer.shown import HEADER, gestures_shown, images_of, room_scene
@@ -56,20 +59,25 @@ def write_answers(
     figures: dict[str, Any] = {"gestures": gestures, "notes": list(pointed.notes), "moments": len(session.moments)}
     if truth is not None:
         figures["truth"] = [truth.get(answer.number) for answer in pointed.answers]
-    images = images_of(session, pointed.moments)
-    shown = gestures_shown(session, following, pointed, images, truth)
-    sure = sum(not answer.ambiguous for answer in pointed.answers)
-    with new_run(out, command.force) as folder:
-        write_json(folder / MARK, made)
-        write_json(folder / "metrics.json", figures)
-        write_json(folder / "gestures.json", gestures)
-        (folder / "config.toml").write_text(to_toml(config), encoding="utf-8")
-        write_table(folder / f"gestures.{command.format}", gestures_table(pointed.answers))
-        _write_pictures(folder / "pictures", shown)
-        if more is not None:
-            more(folder)
+    notes = [] if missing is None else missing
+    pages: list[Callable[[Path, list[str]], None]] = []
+
+    def show(folder: Path) -> None:
+        for write in pages:
+            write(folder, notes)
+        shown: list[GestureShown] = []
+        with extra("pictures and report.html", notes):
+            shown = gestures_shown(session, following, pointed, images_of(session, pointed.moments), truth, notes)
+        if shown:
+            _write_pictures(folder / "pictures", shown, notes)
+            with extra("report.html", notes):
+                page(folder / "report.html", shown)
+
+    def page(path: Path, shown: Sequence[GestureShown]) -> None:
+        assert session.rig is not None
+        sure = sum(not answer.ambiguous for answer in pointed.answers)
         write_pointing_report(
-            folder / "report.html",
+            path,
             room_scene(pointed, session.rig),
             shown,
             header=[*HEADER, "in truth", "right"] if truth else list(HEADER),
@@ -88,14 +96,25 @@ def write_answers(
             provenance=made,
             config_text=to_toml(config),
         )
+
+    with new_run(out, command.force, show) as folder:
+        write_json(folder / MARK, made)
+        write_json(folder / "metrics.json", figures)
+        write_json(folder / "gestures.json", gestures)
+        (folder / "config.toml").write_text(to_toml(config), encoding="utf-8")
+        write_table(folder / f"gestures.{command.format}", gestures_table(pointed.answers))
+        if more is not None:
+            pages.append(more(folder))
     return figures
 
 
-def _write_pictures(folder: Path, shown: Sequence[GestureShown]) -> None:
+def _write_pictures(folder: Path, shown: Sequence[GestureShown], missing: list[str]) -> None:
     from jaxpoint.report.pointing_sheet import save_sheet
 
-    folder.mkdir()
     for gesture in shown:
-        save_sheet(
-            folder / f"gesture_{gesture.number}.jpg", gesture.sheet, f"Gesture {gesture.number}. {gesture.sentence}"
-        )
+        if gesture.sheet is None:
+            continue
+        name = f"gesture_{gesture.number}.jpg"
+        with extra(f"pictures/{name}", missing):
+            folder.mkdir(exist_ok=True)
+            save_sheet(folder / name, gesture.sheet, f"Gesture {gesture.number}. {gesture.sentence}")

@@ -12,6 +12,7 @@ from jaxpoint.commands.console import Console
 from jaxpoint.commands.inputs import check_lens, detection_summary, intrinsics_from, tracks_from
 from jaxpoint.commands.options import Inline, Options, Outcome
 from jaxpoint.config import CalibrateSettings, InputSettings, RoomConfig
+from jaxpoint.errors import FileFormatError
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,7 @@ class Calibrate(Options):
         check_lens(self.settings.lens, self.input.intrinsics)
         tracks = tracks_from(self.tracks, self.input)
         intrinsics = intrinsics_from(self.input, tracks)
+        detect_seconds = _detect_seconds(self.tracks)  # before the work: a damaged file must not cost it
         with console.progress() as progress:
             solved = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
@@ -57,7 +59,7 @@ class Calibrate(Options):
             out,
             room,
             sources=sources,
-            detect_seconds=_detect_seconds(self.tracks),
+            detect_seconds=detect_seconds,
             force=self.force,
         )
 
@@ -69,4 +71,7 @@ def _detect_seconds(tracks: Path) -> float | None:
     summary = detection_summary(tracks)
     if tracks.suffix != ".npz" or not summary.is_file():
         return None
-    return read_json(summary).get("seconds")
+    kept = read_json(summary)
+    if not isinstance(kept, dict):
+        raise FileFormatError(f"'{summary}' is not what `detect led` writes beside its tracks; delete or move it.")
+    return kept.get("seconds")

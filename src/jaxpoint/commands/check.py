@@ -11,9 +11,10 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import intrinsics_from, tracks_from
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import EpipolarSettings, InputSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.calibration.offset_search import PairOffset
@@ -60,7 +61,10 @@ class Check(SeededOptions):
                 progress=lambda done, total: progress("pairs in step?", done, total),
             )
         seen = (tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
-        advice = advise_on_tracks(tracks.names, *seen, offsets)
+        advice: list[Advice] = []
+        missing: list[str] = []
+        with extra("the advice", missing):
+            advice = advise_on_tracks(tracks.names, *seen, offsets)
         failure = None
         try:
             check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
@@ -78,25 +82,35 @@ class Check(SeededOptions):
             "sufficient": failure is None,
             "problem": None if failure is None else str(failure),
         }
-        lines = _lines(pairs, tracks.frames, advice, failure is None)
+        lines = _lines(pairs, tracks.frames, advice, failure is None and not missing)
         if self.out is not None:
-            lines = (*lines, f"Report: {self._keep(self.out, tracks, pairs, offsets, figures)}")
-        return Outcome(figures, lines, failure)
+            self._keep(self.out, tracks, pairs, offsets, figures, missing)
+            lines = (*lines, *at("Report", self.out / "report.html"))
+        return Outcome(figures, lines, failure, tuple(missing))
 
     def _keep(
-        self, out: Path, tracks: Tracks, pairs: PairTable, offsets: list[PairOffset], figures: dict[str, Any]
-    ) -> Path:
+        self,
+        out: Path,
+        tracks: Tracks,
+        pairs: PairTable,
+        offsets: list[PairOffset],
+        figures: dict[str, Any],
+        missing: list[str],
+    ) -> None:
         from jaxpoint.report.html import write_tracks_report
         from jaxpoint.runs import MARK, new_run, provenance, write_json
 
         made = provenance("jaxpoint check", [self.tracks], self.seed)
-        with new_run(out, self.force) as folder:
+
+        def page(folder: Path) -> None:
+            with extra("report.html", missing):
+                write_tracks_report(
+                    folder / "report.html", tracks, pairs, offsets=offsets, problem=figures["problem"], provenance=made
+                )
+
+        with new_run(out, self.force, page) as folder:
             write_json(folder / MARK, made)
             write_json(folder / "check.json", figures)
-            write_tracks_report(
-                folder / "report.html", tracks, pairs, offsets=offsets, problem=figures["problem"], provenance=made
-            )
-        return out / "report.html"
 
 
 def _lines(pairs: PairTable, frames: int, advice: Sequence[Advice], sufficient: bool) -> tuple[str, ...]:

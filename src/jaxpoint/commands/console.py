@@ -46,10 +46,11 @@ class Console:
             sys.stdout.flush()
 
     def show(self, outcome: Outcome) -> None:
-        """Print the outcome: its lines, or with `--json` its figures as one object."""
-        self.say(outcome.lines)
+        """Print the outcome: its lines, or with `--json` its figures as one object; both say what is missing."""
+        self.say((*outcome.lines, *outcome.missing))
         if self.as_json:
-            sys.stdout.write(json.dumps(outcome.figures, allow_nan=False) + "\n")
+            figures = {**outcome.figures, "missing": list(outcome.missing)} if outcome.missing else outcome.figures
+            sys.stdout.write(json.dumps(figures, allow_nan=False) + "\n")
             sys.stdout.flush()
 
 

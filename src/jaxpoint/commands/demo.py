@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import os
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,10 +15,11 @@ import tyro
 
 from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv, user_cache
-from jaxpoint.commands.options import Outcome, SeededOptions
+from jaxpoint.commands.options import Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig, load_config
 from jaxpoint.config.point import PointSettings, RoomExtent
 from jaxpoint.errors import QualityError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
@@ -68,15 +69,21 @@ class Demo(SeededOptions):
         out = self.needed_folder("demo-run")
         with embedded_session() as session, console.progress() as progress:
             outcome = self._answered(session, out, progress)
-        if self.open and (os.name == "nt" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            webbrowser.open((out / "report.html").absolute().as_uri())
+        page = (out / "report.html").absolute()
+        if (
+            self.open
+            and page.exists()
+            and (os.name == "nt" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+        ):
+            with extra("the report in the browser", []):
+                webbrowser.open(page.as_uri())
         return outcome
 
     def _answered(self, session: Path, out: Path, progress: Progress) -> Outcome:
         from jaxpoint.commands.answered import write_answers
         from jaxpoint.commands.point import Point, answer_lines
         from jaxpoint.io.calibration import read_calibration
-        from jaxpoint.runs import write_run
+        from jaxpoint.runs import save_run
 
         calibration = self._calibrated(session, progress)
         point = Point(
@@ -104,17 +111,24 @@ class Demo(SeededOptions):
         notes = tuple(f"Nothing was answered where somebody pointed at {name}." for name in missed)
         more = len(pointed.answers) - len(meant)
         notes += (f"{more} of {len(pointed.answers)} answers are to no gesture.",) if more else ()
+        missing: list[str] = []
+
+        def cameras(folder: Path) -> Callable[[Path, list[str]], None]:
+            report = save_run(folder / "calibration", calibration, self.room, command="jaxpoint demo")
+            return lambda place, notes: report(place / "calibration", notes)
+
         figures = write_answers(
             point,
             out,
             opened,
             following,
             replace(pointed, notes=(*pointed.notes, *notes)),
+            missing,
             truth=meant,
             intro=[text.format(**told) for text in INTRO],
             tiles=[(f"{right} of {told['all']}", "named right"), (f"{apart:.0f} mm", "cameras off the truth")],
             links=[("How the cameras were found", "calibration/report.html")],
-            more=lambda folder: write_run(folder / "calibration", calibration, self.room, command="jaxpoint demo"),
+            more=cameras,
             title="From pixels to what people point at",
             kind="jaxpoint demo",
         )
@@ -125,10 +139,10 @@ class Demo(SeededOptions):
             *answer_lines(pointed, meant),
             *notes,
             f"{right} of {told['all']} answers are right.",
-            f"Report: {out / 'report.html'}",
+            *at("Report", out / "report.html"),
         )
         failure = None if right else QualityError(f"0 of {told['all']} gestures were answered right; please report it.")
-        return Outcome(figures, lines, failure)
+        return Outcome(figures, lines, failure, tuple(missing))
 
     def _settings(self, session: Path) -> PointSettings:
         """How it is asked; the room is the session's own where none is given."""

@@ -11,9 +11,10 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import detection_summary, hush_opencv
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import LedSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     import numpy as np
@@ -55,7 +56,10 @@ class DetectLed(SeededOptions):
                 raise KeyboardInterrupt(f"{stop} They lie in {kept}") from None
         figures = _write(out, detection)
         page = out.with_suffix(".html")
-        write_detection_section(page, _strips(detection))
+        missing: list[str] = []
+        with extra(page.name, missing):
+            page.unlink(missing_ok=True)  # an earlier one shows another detection
+            write_detection_section(page, _strips(detection))
         rows = [
             (
                 camera["name"],
@@ -69,8 +73,9 @@ class DetectLed(SeededOptions):
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
         return Outcome(
             figures,
-            (*lines, f"{figures['seconds']:.1f} s", f"Pictures: {page}", f"Tracks: {out}"),
+            (*lines, f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
             _failure(figures, page),
+            tuple(missing),
         )
 
 

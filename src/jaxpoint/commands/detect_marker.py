@@ -14,10 +14,11 @@ import tyro
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.detect.marker import MarkerModel
@@ -98,8 +99,9 @@ class DetectMarker(SeededOptions):
         tips = None
         if session.rig is not None and len(session.names) > 1:
             tips = marker_tips(session.rig, markers, self.marker)
-        figures = _write(self, out, session, model, markers, tips)
-        return Outcome(figures, _lines(figures, out), _failure(figures))
+        missing: list[str] = []
+        figures = _write(self, out, session, model, markers, tips, missing)
+        return Outcome(figures, _lines(figures, out), _failure(figures), tuple(missing))
 
 
 def _write(
@@ -109,6 +111,7 @@ def _write(
     model: MarkerModel,
     markers: tuple[CameraMarkers, ...],
     tips: list[MarkerTip] | None,
+    missing: list[str],
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -121,23 +124,30 @@ def _write(
 
     figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), [*session.files, command.samples], command.seed)
-    with new_run(out, command.force) as folder:
+    settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings, marker=command.marker)))
+
+    def page(folder: Path) -> None:
+        pictures: list[tuple[str, np.ndarray]] = []
+        with extra("the pictures of report.html", missing):
+            pictures = marker_sheets(session, markers, tips)
+        with extra("report.html", missing):
+            write_marker_report(
+                folder / "report.html",
+                figures,
+                None if tips is None else track_of(session, tips),
+                None if session.rig is None else np.asarray(session.rig.positions),
+                pictures,
+                made,
+                settings,
+            )
+
+    with new_run(out, command.force, page) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings, marker=command.marker)))
         (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
         if tips is not None:
             write_table(folder / f"markers.{command.format}", in_room(session, tips))
-        write_marker_report(
-            folder / "report.html",
-            figures,
-            None if tips is None else track_of(session, tips),
-            None if session.rig is None else np.asarray(session.rig.positions),
-            marker_sheets(session, markers, tips),
-            made,
-            settings,
-        )
     return figures
 
 
@@ -188,7 +198,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     else:
         others = f"; others: {_counts(room['reasons'])}" if room["reasons"] else ""
         lines += (f"Tips in the room: {room['tips']} of {figures['moments']} moments{others}.",)
-    return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
+    return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
 def _counts(reasons: dict[str, int]) -> str:

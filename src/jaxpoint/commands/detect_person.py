@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,11 +15,12 @@ import tyro
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.io.session import Session
@@ -74,8 +76,9 @@ class DetectPerson(SeededOptions):
         session = open_session(self.session, self.calibration)
         with console.progress() as progress:
             views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
-        figures = _write(self, out, session, views, following)
-        return Outcome(figures, _lines(figures, out), _failure(self, figures))
+        missing: list[str] = []
+        figures = _write(self, out, session, views, following, missing)
+        return Outcome(figures, _lines(figures, out), _failure(self, figures), tuple(missing))
 
 
 def _seen(
@@ -109,7 +112,12 @@ def _given(
 
 
 def _write(
-    command: DetectPerson, out: Path, session: Session, views: tuple[CameraViews, ...], following: Following | None
+    command: DetectPerson,
+    out: Path,
+    session: Session,
+    views: tuple[CameraViews, ...],
+    following: Following | None,
+    missing: list[str],
 ) -> dict[str, Any]:
     import numpy as np
 
@@ -124,24 +132,31 @@ def _write(
     figures = _figures(session, views, following)
     inputs = [*session.files, *([command.landmarks] if command.landmarks else [])]
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), inputs, command.seed)
-    with new_run(out, command.force) as folder:
+    settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings), track=command.track))
+
+    def page(folder: Path) -> None:
+        pictures: list[tuple[str, np.ndarray]] = []
+        with extra("the pictures of report.html", missing):
+            pictures = sheets(session, views, following)
+        with extra("report.html", missing):
+            write_people_report(
+                folder / "report.html",
+                figures,
+                None if following is None else following.tracking.heads,
+                None if session.rig is None else np.asarray(session.rig.positions),
+                pictures,
+                made,
+                settings,
+            )
+
+    with new_run(out, command.force, page) as folder:
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
-        settings = to_toml(RoomConfig(detect=DetectSettings(person=command.settings), track=command.track))
         (folder / "config.toml").write_text(settings, encoding="utf-8")
         write_table(folder / f"detections.{command.format}", detections(session, views, following))
         if following is not None:
             save_heads(folder / "heads.csv", following.tracking.heads)
             write_table(folder / f"arms.{command.format}", arms(session, following))
-        write_people_report(
-            folder / "report.html",
-            figures,
-            None if following is None else following.tracking.heads,
-            None if session.rig is None else np.asarray(session.rig.positions),
-            sheets(session, views, following),
-            made,
-            settings,
-        )
     return figures
 
 
@@ -194,7 +209,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
         lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
     if not figures["followed"]:
         lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
-    return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
+    return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
 def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientDataError | None:
@@ -206,9 +221,28 @@ def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientData
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
     if figures["people"] or not figures["followed"]:
         return None
+    return _unfollowed(command, cameras)
+
+
+def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
+    """Why nobody could be followed: no heads at all, heads of one view only, or heads that do not agree."""
     heads = [camera["heads"] for camera in cameras if camera["heads"]]
-    agreed, of = command.track.confirm
-    return InsufficientDataError(
-        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras,"
-        f" and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}"
+    failed = (
+        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras"
     )
+    if not heads and command.landmarks is not None:
+        return InsufficientDataError(
+            f"{failed}; give landmarks of heads too: 'head', both ears, or 'nose' and both eyes."
+        )
+    if not heads:
+        return InsufficientDataError(
+            f"{failed}, though they show somebody; heads must be inside the images, and between --head.nearest-m "
+            f"({command.settings.head.nearest_m:g}) and --head.farthest-m ({command.settings.head.farthest_m:g}) away."
+        )
+    if len(heads) == 1:
+        return InsufficientDataError(
+            f"{failed}, and it takes two that see the same head: turn the views so that they overlap, and see in the "
+            "table what stood in the way in the others."
+        )
+    agreed, of = command.track.confirm
+    return InsufficientDataError(f"{failed}, and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}")

@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jaxpoint.commands.console import Console, table
-from jaxpoint.commands.options import Options, Outcome
+from jaxpoint.commands.options import Options, Outcome, at
 from jaxpoint.config import RoomConfig
-from jaxpoint.errors import UsageError
+from jaxpoint.errors import QualityError, UsageError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +28,8 @@ class Diff(Options):
     jaxpoint diff runs/monday runs/friday
 
     The second is brought onto the first before, so that frame and unit do not count. Cameras are matched by name.
-    `--out` also writes the findings as a page.
+    `--out` also writes the findings as a page. Ends in exit code 5 where they differ by more than their uncertainties
+    allow, in 0 where they agree and where one holds no covariance, so that nobody can tell.
     """
 
     first: Annotated[Path, tyro.conf.Positional]
@@ -43,7 +45,7 @@ class Diff(Options):
         return Diff(first=tyro.MISSING, second=tyro.MISSING, runtime=room.runtime)
 
     def run(self, console: Console) -> Outcome:
-        """The difference; being inconsistent is an answer, no failure."""
+        """The difference; more than the uncertainties allow is a failure of the outcome."""
         from jaxpoint.report.difference import difference_table, figures_of, sentences
 
         if self.out is not None:
@@ -51,22 +53,27 @@ class Diff(Options):
         compared = compare(self.first, self.second, align=not self.no_align)
         shown = difference_table(compared)
         lines = (*table(shown.header, shown.rows), *sentences(compared))
+        missing: list[str] = []
         if self.out is not None:
-            lines = (*lines, f"Report: {self._keep(self.out, compared)}")
-        return Outcome(figures_of(compared), lines)
+            self._keep(self.out, compared, missing)
+            lines = (*lines, *at("Report", self.out / "report.html"))
+        return Outcome(figures_of(compared), lines, _failure(compared, self.first, self.second), tuple(missing))
 
-    def _keep(self, out: Path, compared: Compared) -> Path:
+    def _keep(self, out: Path, compared: Compared, missing: list[str]) -> None:
         from jaxpoint.report.difference import figures_of, write_difference_report
         from jaxpoint.runs import MARK, new_run, provenance, write_json
 
         files = [path / "calibration.json" if path.is_dir() else path for path in (self.first, self.second)]
         made = provenance("jaxpoint diff", files, 0)
-        with new_run(out, self.force) as folder:
+        titles = str(self.first), str(self.second)
+
+        def page(folder: Path) -> None:
+            with extra("report.html", missing):
+                write_difference_report(folder / "report.html", compared, titles=titles, provenance=made)
+
+        with new_run(out, self.force, page) as folder:
             write_json(folder / MARK, made)
             write_json(folder / "diff.json", figures_of(compared))
-            titles = str(self.first), str(self.second)
-            write_difference_report(folder / "report.html", compared, titles=titles, provenance=made)
-        return out / "report.html"
 
 
 def compare(first: Path, second: Path, align: bool = True) -> Compared:
@@ -99,7 +106,10 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
     here, there = (saved.rig.select([saved.rig.names.index(name) for name in names]) for saved in (one, other))
     for name, size, again in zip(names, here.image_sizes.tolist(), there.image_sizes.tolist()):
         if size != again:
-            raise UsageError(f"Camera '{name}' has images of {size} px in '{first}', of {again} px in '{second}'.")
+            raise UsageError(
+                f"Camera '{name}' has images of {size[0]} x {size[1]} px in '{first}', of {again[0]} x {again[1]} px "
+                f"in '{second}'; only calibrations of one mode of a camera can be compared."
+            )
     missing = _uncompared(first, one, second, other, align)
     covariances = None if missing else (_of(one, names), _of(other, names))
     light = _light(first)
@@ -118,14 +128,37 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
     return Compared(found, "mm" if one.unit == "m" else "thousandths", tuple(notes))
 
 
+def _failure(compared: Compared, first: Path, second: Path) -> QualityError | None:
+    """That they disagree; None where they agree, or where nothing says how uncertain they are."""
+    allowed = compared.found.allowed
+    if allowed is None or allowed.consistent:
+        return None
+    names = " and ".join(compared.found.first.names[c] for c in allowed.culprits)
+    return QualityError(
+        f"'{second}' differs from '{first}' by {allowed.ratio_all:.1f} times what their uncertainties allow"
+        f"{f', most of all in {names}' if names else ''}: a camera or lens was touched between the recordings, or one "
+        "calibration is wrong; record the light again and see which of them the new calibration agrees with."
+    )
+
+
 def _uncompared(first: Path, one: SavedCalibration, second: Path, other: SavedCalibration, align: bool) -> str:
     """Why differences cannot be held against uncertainties, or nothing."""
     for path, saved in ((first, one), (second, other)):
         if saved.covariance is None:
-            return f"'{path}' holds no covariance; give a run of `calibrate` or `align`."
+            return _without_covariance(path)
         if not align and saved.gauge != "landmarks":
             return f"'{path}' does not say how well its frame is known; align it by landmarks, or leave out --no-align."
     return ""
+
+
+def _without_covariance(path: Path) -> str:
+    """Why a calibration says nothing of its uncertainty: of a run, what stood in the way when it was made."""
+    from jaxpoint.io.result import load_result
+
+    why = load_result(path).undetermined if (path / "result.npz").is_file() else ""
+    if why:
+        return f"'{path}' holds no covariance, because of this: {why}"
+    return f"'{path}' holds no covariance; give the folder of a run of `calibrate` or `align`."
 
 
 def _marked(path: Path) -> str | None:

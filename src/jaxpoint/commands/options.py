@@ -98,6 +98,12 @@ class Outcome:
     figures: dict[str, Any]
     lines: tuple[str, ...] = ()
     failure: JaxpointError | None = None
+    missing: tuple[str, ...] = ()  # pages and pictures that could not be made, a sentence each; no failure
+
+
+def at(label: str, path: Path) -> tuple[str, ...]:
+    """The line that says where something lies, where it does: a page may be missing, see `jaxpoint.extras`."""
+    return (f"{label}: {path}",) if path.exists() else ()
 
 
 def _paths(value: object) -> Iterator[Path]:

@@ -12,12 +12,13 @@ import tyro
 
 from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv
-from jaxpoint.commands.options import Inline, Outcome, SeededOptions
+from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import Count, Fraction, RoomConfig
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.errors import FileFormatError, MissingDependencyError, UsageError
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.answer.pipeline import Pointed
@@ -95,24 +96,24 @@ class Point(SeededOptions):
             check_speaker()
         with console.progress() as progress:
             session, following, pointed = self.answered(progress)
-        if self.follow:
-            console.say([json.dumps(as_json(answer), allow_nan=False) for answer in pointed.answers])
-        else:
-            console.say([*answer_lines(pointed), *pointed.notes])
-        figures = write_answers(self, out, session, following, pointed)
-        lines = () if self.follow else (f"Tables: {out}", f"Report: {out / 'report.html'}")
-        return Outcome(figures, lines, self._spoken(pointed, out))
+        missing: list[str] = []
+        with extra("the answers on standard output", missing):  # a robot waits for them; who reads them may have gone
+            if self.follow:
+                console.say([json.dumps(as_json(answer), allow_nan=False) for answer in pointed.answers])
+            else:
+                console.say([*answer_lines(pointed), *pointed.notes])
+        figures = write_answers(self, out, session, following, pointed, missing)
+        with extra("the voice", missing):
+            self._speak(pointed)
+        lines = () if self.follow else (f"Tables: {out}", *at("Report", out / "report.html"))
+        return Outcome(figures, lines, missing=() if self.follow else tuple(missing))
 
-    def _spoken(self, pointed: Pointed, out: Path) -> MissingDependencyError | None:
-        """Say the answers where that is wanted; returns why that failed."""
+    def _speak(self, pointed: Pointed) -> None:
+        """Say the answers where that is wanted."""
         from jaxpoint.answer.sentence import sentence, speak
 
-        try:
-            for answer in pointed.answers if self.speak else ():
-                speak(sentence(answer))
-        except MissingDependencyError as error:
-            return MissingDependencyError(f"{str(error).removesuffix('.')}: the answers lie in '{out}'.")
-        return None
+        for answer in pointed.answers if self.speak else ():
+            speak(sentence(answer))
 
     def answered(
         self, progress: Progress, calibration: Calibration | None = None

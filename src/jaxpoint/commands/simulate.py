@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jaxpoint.commands.console import Console
-from jaxpoint.commands.options import Outcome, SeededOptions
+from jaxpoint.commands.options import Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig
 from jaxpoint.config.simulation import AtLeastOne, ImageSide, SimulationSettings
+from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
     from jaxpoint.simulate.session import SimulatedSession
@@ -58,7 +59,7 @@ class Simulate(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write the session's folder, whole or not at all."""
         from jaxpoint.runs import MARK, new_run, provenance, write_json
-        from jaxpoint.simulate.recording import write_session
+        from jaxpoint.simulate.recording import write_preview, write_session
         from jaxpoint.simulate.session import simulate_session
         from jaxpoint.simulate.wave import simulate_wave
 
@@ -66,10 +67,16 @@ class Simulate(SeededOptions):
         with console.progress() as progress:
             session = simulate_session(self._resolved(), self.seed, progress)
             wave = simulate_wave(session) if self.wave else None
-            with new_run(out, self.force) as folder:
+            missing: list[str] = []
+
+            def preview(folder: Path) -> None:
+                with extra("preview.jpg", missing):
+                    write_preview(folder / "preview.jpg", session)
+
+            with new_run(out, self.force, preview) as folder:
                 write_session(folder, session, wave=wave, masks=self.masks, progress=progress)
                 write_json(folder / MARK, provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), (), self.seed))
-        return _outcome(out, session, self.wave)
+        return replace(_outcome(out, session, self.wave), missing=tuple(missing))
 
     def _resolved(self) -> SimulationSettings:
         """The settings with what flags say."""
@@ -96,7 +103,7 @@ def _outcome(out: Path, session: SimulatedSession, wave: bool) -> Outcome:
     lines = (
         f"{images} images of {len(session.viewpoints)} cameras, {session.play.duration_s:.1f} s, "
         f"{len(session.gestures)} gestures among {len(session.objects)} named objects",
-        f"Preview: {out / 'preview.jpg'}",
+        *at("Preview", out / "preview.jpg"),
         f"Session: {out}",
     )
     return Outcome(figures, lines)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -48,24 +49,24 @@ class Validate(SeededOptions):
             raise UsageError("Say what to hold the calibration against: --lengths, --tracks or --held-out.")
         if self.out is not None:
             self.needed_folder("")
+        if chosen.lengths is not None and chosen.landmark_pixels is None:
+            raise UsageError("--lengths needs the pixels of their ends: --landmark-pixels FILE.")
         run = read_run(self.run_folder)
         figures: dict[str, Any] = {}
         lines: list[str] = []
-        failure: JaxpointError | None = None
-        if chosen.lengths is not None:
-            lengths = _lengths(run, chosen)
-            figures["lengths"], failure = _plain(asdict(lengths)), _judge(lengths, chosen.max_mean_mm)
-            lines += _length_lines(lengths, run.calibration.camera_covariance is not None)
-        if chosen.tracks is not None:
-            again = _other_recording(run, chosen.tracks)
-            figures["tracks"] = _plain(asdict(again))
-            lines += _held_out_lines("another recording", again)
-        if chosen.held_out:
-            predicted, difference = _halves(run, console)
-            figures["held_out"], figures["halves"] = _plain(asdict(predicted)), _plain(asdict(difference))
-            lines += [*_held_out_lines("half of the frames", predicted), *_difference_lines(difference)]
+        failures: list[JaxpointError] = []
+        for test in (_against_lengths, _against_tracks, _against_halves):
+            try:  # what one test found is kept whatever becomes of the next
+                found, told, failure = test(run, chosen, console)
+            except JaxpointError as error:
+                found, told, failure = {}, (), error
+            figures |= found
+            lines += told
+            failures += [] if failure is None else [failure]
+        if not figures:
+            raise failures[0]
         self._keep(figures)
-        return Outcome(figures, tuple(lines), failure)
+        return Outcome(figures, (*lines, *map(str, failures[1:])), failures[0] if failures else None)
 
     def _keep(self, figures: dict[str, Any]) -> None:
         if self.out is None:
@@ -79,12 +80,39 @@ class Validate(SeededOptions):
             write_json(folder / "validation.json", figures)
 
 
+Findings = tuple[dict[str, Any], Sequence[str], JaxpointError | None]
+"""Of one test: figures, lines for a person, and why it failed, if it did."""
+
+
+def _against_lengths(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if settings.lengths is None:
+        return {}, (), None
+    lengths = _lengths(run, settings)
+    lines = _length_lines(lengths, run.calibration.camera_covariance is not None)
+    return {"lengths": _plain(asdict(lengths))}, lines, _judge(lengths, settings.max_mean_mm)
+
+
+def _against_tracks(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if settings.tracks is None:
+        return {}, (), None
+    again = _other_recording(run, settings.tracks)
+    return {"tracks": _plain(asdict(again))}, _held_out_lines("another recording", again), None
+
+
+def _against_halves(run: Run, settings: ValidateSettings, console: Console) -> Findings:
+    if not settings.held_out:
+        return {}, (), None
+    predicted, difference = _halves(run, console)
+    lines = [*_held_out_lines("half of the frames", predicted), *_difference_lines(difference)]
+    return {"held_out": _plain(asdict(predicted)), "halves": _plain(asdict(difference))}, lines, None
+
+
 def _lengths(run: Run, settings: ValidateSettings) -> LengthValidation:
     from jaxpoint.io.known import read_landmark_pixels, read_lengths
     from jaxpoint.validation import validate_lengths
 
-    if settings.lengths is None or settings.landmark_pixels is None:
-        raise UsageError("--lengths needs the images of their ends: --landmark-pixels FILE.")
+    assert settings.lengths is not None
+    assert settings.landmark_pixels is not None
     clicks = read_landmark_pixels(settings.landmark_pixels, run.calibration.rig.names)
     return validate_lengths(run.calibration, read_lengths(settings.lengths), clicks)
 
@@ -94,15 +122,38 @@ def _judge(lengths: LengthValidation, allowed_mm: float) -> QualityError | None:
         return None
     return QualityError(
         f"The {lengths.count} lengths are off by {lengths.mean_mm:.1f} mm in the mean, above the {allowed_mm:g} mm "
-        "allowed; look at the worst one first, it may be a wrong click."
+        f"allowed; {_cause(lengths, allowed_mm)}."
     )
+
+
+def _cause(lengths: LengthValidation, allowed_mm: float) -> str:
+    """The scale, where all would fit after a change of it; else the length that is worst."""
+    import numpy as np
+
+    counted = np.asarray(lengths.independent)
+    measured, found = np.asarray(lengths.length_m)[counted], np.asarray(lengths.triangulated_m)[counted]
+    ratio = float(np.median(found / measured))
+    if counted.sum() >= 3 and 1e3 * np.abs(found / ratio - measured).mean() <= allowed_mm:
+        how = "long" if ratio > 1 else "short"
+        return (
+            f"all come out {abs(ratio - 1):.1%} too {how}, so it is the scale: measure again what the room was aligned "
+            "to, and see whether both are in metres"
+        )
+    worst = int(np.argmax(np.where(counted, np.abs(lengths.error_mm), -1.0)))
+    return f"look at '{lengths.names[worst]}' first, which is worst: its ends may be clicked or measured wrongly"
 
 
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
     from jaxpoint.validation import validate_held_out
 
     # The timestamps of the run belong to its own recording.
-    return validate_held_out(run.calibration.rig, tracks_from(path, replace(run.config.input, timestamps=None)))
+    tracks, names = tracks_from(path, replace(run.config.input, timestamps=None)), run.calibration.rig.names
+    if sorted(tracks.names) != sorted(names):
+        raise UsageError(
+            f"'{path}' has the cameras {', '.join(tracks.names)}, the calibration {', '.join(names)}; give tracks of "
+            "the same cameras under the same names."
+        )
+    return validate_held_out(run.calibration.rig, tracks.select_cameras([tracks.names.index(name) for name in names]))
 
 
 def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationDifference]:

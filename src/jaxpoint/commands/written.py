@@ -11,8 +11,9 @@ from typing import Any
 from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
-from jaxpoint.commands.options import Outcome
+from jaxpoint.commands.options import Outcome, at
 from jaxpoint.config import RoomConfig
+from jaxpoint.extras import extra
 from jaxpoint.report.tables import offset_texts
 from jaxpoint.runs import write_run
 
@@ -28,6 +29,7 @@ def written(
 ) -> Outcome:
     """The run directory, and its outcome with the failure of the quality gate, if any."""
     quality = assess(calibration, room.calibrate, room.align)
+    missing: list[str] = []
     figures = write_run(
         out,
         calibration,
@@ -37,22 +39,26 @@ def written(
         detect_seconds=detect_seconds,
         quality=quality,
         force=force,
+        missing=missing,
     )
     report = out / "report.html"
-    lines = _lines(calibration, quality, figures, report)
-    return Outcome({**figures, "run": str(out), "report": str(report)}, lines, quality.failure)
+    lines: tuple[str, ...] = ()
+    with extra("the table of cameras on the terminal", missing):
+        lines = _lines(calibration, quality, figures)
+    told = {**figures, "run": str(out), "report": str(report) if report.exists() else None}
+    return Outcome(told, (*lines, *at("Report", report)), quality.failure, tuple(missing))
 
 
-def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any], report: Path) -> tuple[str, ...]:
+def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) -> tuple[str, ...]:
     errors, observations, frames = figures["reprojection"], figures["observations"], figures["frames"]
     rows = [
         (
             camera["name"],
-            f"{camera['focal_px'][0]:.1f}",
-            " ".join(f"{value:.1f}" for value in camera["center_px"]),
-            f"{camera['distortion'][0]:+.3f}",
+            _number(camera["focal_px"][0], ".1f"),
+            " ".join(_number(value, ".1f") for value in camera["center_px"]),
+            _number(next(iter(camera["distortion"]), None), "+.3f"),
             f"{camera['used']}/{camera['total']}",
-            "-" if mean is None else f"{mean:.3f}",
+            _number(mean, ".3f"),
         )
         for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
     ]
@@ -78,4 +84,9 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any], 
         )
     )
     care = [f"{item.finding} {item.remedy}." for item in quality.findings if item.level == "care"]
-    return (*table(header, rows), summary, *in_room, *care, f"Report: {report}")
+    return (*table(header, rows), summary, *in_room, *care)
+
+
+def _number(value: float | None, digits: str) -> str:
+    """A dash for what is not known, as of a camera that kept no observation."""
+    return "-" if value is None else format(value, digits)

@@ -186,10 +186,14 @@ def _robust(rig: CameraRig, pixels: Float[np.ndarray, "R J C 2"], seen: Bool[np.
 
 
 def _arm(rig: CameraRig, joints: _Joints, head: Float[np.ndarray, "3"]) -> PointingArm | None:
-    """One arm from its elbow, wrist and fingertip; None where two views do not give elbow and wrist."""
+    """One arm from its elbow, wrist and fingertip; None where there are no two views of both elbow and wrist.
+
+    Elbow and wrist may each be seen by two views that are not the same: no view has the whole forearm then.
+    """
     elbow, wrist, tip = joints.points
     length = float(np.linalg.norm(wrist - elbow))
-    if not joints.valid[:2].all() or not FOREARM_M[0] < length < FOREARM_M[1]:
+    counted = joints.used[0] & joints.used[1]
+    if not joints.valid[:2].all() or counted.sum() < 2 or not FOREARM_M[0] < length < FOREARM_M[1]:
         return None
     direction = (wrist - elbow) / length
     has_tip = bool(joints.valid[2])
@@ -199,7 +203,6 @@ def _arm(rig: CameraRig, joints: _Joints, head: Float[np.ndarray, "3"]) -> Point
     covariance = joints.covariance * np.maximum(1.0, joints.rms)[:, None, None] ** 2
     across = (np.eye(3) - np.outer(direction, direction)) / length
     of_direction = across @ (covariance[0] + covariance[1]) @ across.T
-    counted = joints.used[0] & joints.used[1]
     axis = LimbAxis(
         *(jnp.asarray(part) for part in (wrist, elbow, direction, of_direction)),
         ends_covariance=jnp.asarray(block_diag(covariance[1], covariance[0])),

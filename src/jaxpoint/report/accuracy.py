@@ -201,7 +201,7 @@ def on_accuracy(accuracy: Accuracy | None, names: Sequence[str]) -> Iterator[Adv
         )
         return
     told = "; ".join(
-        f"{_where(accuracy, gain)}, seen by {_listed(gain.cameras, names)}: −{gain.fraction:.0%}"
+        f"{_where(accuracy, gain)}{_seen_by(gain.cameras, names)}: −{gain.fraction:.0%}"
         for gain in accuracy.gains[:BEST]
     )
     yield Advice(finding, f"More light lowers it most, {ADDED} positions each and predicted alone, at {told}.")
@@ -212,6 +212,11 @@ def _where(accuracy: Accuracy, gain: Gain) -> str:
     unit = " m" if accuracy.scene.unit == "m" else ""
     ends = np.round([low, high], 1) + 0.0  # no -0.0
     return ", ".join(f"{axis} {a:.1f} to {b:.1f}" for axis, a, b in zip("xyz", *ends)) + unit
+
+
+def _seen_by(cameras: Sequence[int], names: Sequence[str]) -> str:
+    """The cameras that see most of a part; nothing where none does, as along a corridor whose cameras follow."""
+    return f", seen by {_listed(cameras, names)}" if cameras else ""
 
 
 def _listed(cameras: Sequence[int], names: Sequence[str]) -> str:

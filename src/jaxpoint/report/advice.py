@@ -11,7 +11,8 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.calibration.offset_search import PairOffset, joint_offsets
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
-from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_cells, image_coverage
+from jaxpoint.report.gathered import edge_of_lens, gathered_place, gathered_time
+from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_coverage
 from jaxpoint.report.sync import speed_lags, time_offsets
 
 ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
@@ -19,6 +20,9 @@ BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
 LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
+_EDGE = 0.03  # of a camera's observations beyond the radius from which its lens model fails: it is no mere border
+_REACHED = 0.9  # of the radius where a lens model folds back; light that was seen there shaped it
+_WHOLE = 0.8  # of a camera's observations that are rejected: it fits the others at no time
 _SOLVE_OFFSETS = "Calibrate with `--time-offsets` (calibrate.time_offsets = true), which solves for the offsets"
 
 
@@ -138,28 +142,47 @@ def on_outliers(
         count = int(rejected[:, camera].sum())
         if count < 8:
             continue
-        others = float(np.median(np.delete(rate, camera)))
+        others = float(np.median(np.delete(rate, camera))) if len(names) > 1 else 0.0
+        place = gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
+        edge = edge_of_lens(pixels[:, camera], sizes[camera], judged[:, camera], rejected[:, camera])
+        if edge is not None and place is None:
+            limit, beyond, within = edge
+            yield Advice(
+                f"Camera {name} has {beyond:.0%} of its observations rejected that lie more than {limit:.0f} px from "
+                f"the middle of its image, and {within:.0%} of the others.",
+                "The lens bends more there than its model: ask for more terms "
+                '(lens.distortion = "brown"), or leave out what lies beyond.',
+                urgent=bool(rate[camera] - within > _EDGE * (beyond - within)),
+            )
+            continue  # so neither a reflection nor a touched camera is the cause
         if rate[camera] > max(0.05, 3 * others):
             yield Advice(
                 f"Camera {name} has {rate[camera]:.0%} of its observations rejected; the others {others:.0%}.",
-                "Look at its worst frames below: a second light, a reflection, or a camera that was moved or is out of "
-                "step.",
+                "Look at its worst frames below: a second light, a reflection, a camera that was moved or is out of "
+                "step, or one whose recording belongs to another room or day.",
                 urgent=bool(rate[camera] > 0.3),
             )
-        place = _gathered_place(pixels[rejected[:, camera], camera], sizes[camera])
         if place is not None:
             share, (x, y) = place
             yield Advice(
                 f"{share:.0%} of the outliers of camera {name} lie near pixel ({x:.0f}, {y:.0f}).",
                 "Something there looks like the light: cover that lamp, window or reflection, or mask it.",
             )
-        when = _gathered_time(judged[:, camera], rejected[:, camera])
+        when = gathered_time(judged[:, camera], rejected[:, camera])
         if when is not None:
-            yield Advice(
-                f"Camera {name} is rejected almost throughout frames {frame_ids[when[0]]} to {frame_ids[when[1]]}.",
-                "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again.",
-                urgent=True,
-            )
+            span = f"frames {frame_ids[when[0]]} to {frame_ids[when[1]]}"
+            yield _of_a_time(name, span, everywhere=bool(rate[camera] > _WHOLE))
+
+
+def _of_a_time(name: str, span: str, everywhere: bool) -> Advice:
+    """Of a camera that the others contradict for a while; `everywhere`: at nearly all times."""
+    remedy = "Was the camera touched, or its recording interrupted, then? Leave that part out and calibrate again."
+    if everywhere:
+        remedy = (
+            "It fits the others nowhere: see whether its images are of the same room and times, and not mirrored or "
+            "turned; or leave it out."
+        )
+    return Advice(f"Camera {name} is rejected almost throughout {span}.", remedy, urgent=True)
 
 
 def on_borders(
@@ -265,12 +288,16 @@ def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
 
 
 def on_lenses(names: Sequence[str], lens: Lens) -> Iterator[Advice]:
-    """A lens polynomial that folds back within the image, where the light never was."""
+    """A lens polynomial that folds back within the image: where the light never was, or because the lens is wider."""
     for camera in np.flatnonzero(lens.turning <= lens.corner).tolist():
+        reached = lens.farthest[camera] >= _REACHED * lens.turning[camera]
         yield Advice(
             f"The lens model of camera {names[camera]} stops growing {lens.turning[camera]:.0f} px from its middle, "
             "before the image corner.",
-            "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
+            "Pixels beyond cannot be undistorted, though the light was there: the lens is too wide for this model; do "
+            "not use the edge of that image."
+            if reached
+            else "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
             'distortion terms (lens.distortion = "radial1").',
         )
 
@@ -284,7 +311,8 @@ def on_principal_points(
         yield Advice(
             f"The principal point of camera {names[camera]} lies {np.linalg.norm(off[camera]):.0%} of the image width "
             "from its middle.",
-            "Was the image cropped, or the size given wrongly? If not, cover more of that image with the light.",
+            "Was the image cropped, are its pixels not square, or is its size given wrongly? If none of these, cover "
+            "more of that image with the light.",
         )
 
 
@@ -323,27 +351,3 @@ def _empty_side(count: np.ndarray) -> str:
     if part.mean() > 0.6 * filled.mean():
         return "with gaps on all sides"
     return text if not part.any() else text.replace("nothing", "little")
-
-
-def _gathered_place(pixels: np.ndarray, size: np.ndarray) -> tuple[float, np.ndarray] | None:
-    """The share of these outliers in their fullest cell and their median pixel there, where it is more than 40 %."""
-    column, row = image_cells(pixels, size).T
-    cells, counts = np.unique(row * GRID[0] + column, return_counts=True)
-    fullest = counts.argmax()
-    if counts[fullest] < max(8, 0.4 * len(pixels)):
-        return None
-    there = (row * GRID[0] + column) == cells[fullest]
-    return float(there.mean()), np.median(pixels[there], axis=0)
-
-
-def _gathered_time(judged: np.ndarray, rejected: np.ndarray, window: int = 30) -> tuple[int, int] | None:
-    """First and last row of a stretch of at least `window` judged observations of which 80 % are rejected."""
-    rows = np.flatnonzero(judged)
-    if len(rows) < 2 * window:
-        return None
-    share = np.convolve(rejected[rows].astype(float), np.ones(window) / window, mode="valid")
-    bad = np.flatnonzero(share >= 0.8)
-    if not bad.size:
-        return None
-    run = bad[: int(np.argmax(np.append(np.diff(bad) > window, True))) + 1]
-    return int(rows[run[0]]), int(rows[run[-1] + window - 1])

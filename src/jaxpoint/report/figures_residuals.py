@@ -13,6 +13,7 @@ from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors, round_nu
 from jaxpoint.report.summary import BEST, GRID, Summary, cell_means, kept_curve, mean, mean_of_best, px
 
 _RAYLEIGH_MEDIAN = float(np.sqrt(2 * np.log(2)))  # of lengths of 2-D noise, in its standard deviations
+_LEGEND_ROWS = 18  # that stand beside axes
 _SCATTER = 30_000  # dots drawn in one cloud; more cannot be told apart
 
 
@@ -81,7 +82,7 @@ def over_time(summary: Summary) -> Figure:
     frames, cameras = np.nonzero(summary.kept)
     errors = summary.errors[frames, cameras]
     colors = np.array(camera_colors(len(summary.names)))
-    top = 1.15 * float(np.quantile(errors, 0.995)) if errors.size else 1.0
+    top = _above(1.15, errors, 0.995)
     beyond = errors > top  # the band above belongs to what was rejected
     chosen = _at_most(len(frames), _SCATTER)
     chosen = chosen[~beyond[chosen]]
@@ -170,7 +171,7 @@ def _against_radius(summary: Summary, ax: Axes) -> None:
             middle, median = _binned_median(radius[mine, camera], summary.errors[mine, camera], bins=14)
             ax.plot(middle, median, color=colors[camera], lw=1.6, label=name)
     errors = summary.errors[summary.kept]
-    top = 1.1 * float(np.quantile(errors, 0.99)) if errors.size else 1.0
+    top = _above(1.1, errors, 0.99)
     ax.set(ylim=(0, top), xlim=(0, None), xlabel="distance from the principal point, px", ylabel="error, px")
     ax.set_title("Does the error grow towards the edge?")
     _legend(ax)
@@ -182,7 +183,13 @@ def _legend(ax: Axes, loc: Literal["upper left", "upper right"] = "upper right",
     if 0 < entries <= 8:
         ax.legend(loc=loc, ncols=min(entries, columns)).set_in_layout(False)
     elif entries:
-        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5)
+        columns = -(-entries // _LEGEND_ROWS)  # a legend higher than the figure leaves no room for the axes
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7.5, ncols=columns, columnspacing=0.8)
+
+
+def _above(times: float, errors: np.ndarray, quantile: float) -> float:
+    """The end of an axis: so many times a quantile, and never 0, which is where an axis begins."""
+    return times * float(np.quantile(errors, quantile)) or 1e-3 if errors.size else 1.0
 
 
 def _binned_median(x: np.ndarray, y: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:

@@ -69,6 +69,7 @@ def error_levels(accuracy: Accuracy) -> list[float]:
     """Round numbers from below the smallest error on; what is more than the last is drawn as the last colour."""
     known = np.concatenate([plane.error[np.isfinite(plane.error)] for plane in accuracy.planes])
     low, top = np.quantile(known, [0.0, 0.97]).tolist() if known.size else (accuracy.mean, accuracy.mean)
+    low = max(low, 1e-9)  # errors of 0, as of cameras that are held, have no power of ten
     steps = _FINE if top < _NARROW * low else _COARSE
     power = 10.0 ** np.floor(np.log10(low))
     ladder = np.array([power * 10**decade * step for decade in range(_STEPS) for step in steps])

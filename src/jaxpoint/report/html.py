@@ -237,9 +237,13 @@ def _advice(summary: Summary, calibration: Calibration) -> list[Advice]:
     """What the data, the solver and the alignment advise."""
     advice = advise(summary)
     if not calibration.converged:
+        others = any(item.urgent for item in advice)
         stuck = Advice(
             f"The solver did not converge: {calibration.message}.",
-            "Mend what stands below first; then record more of the room, or try another first solution (`--init`).",
+            "What stands next below is the likely cause: mend that, then calibrate again."
+            if others
+            else 'Nothing below says why: calibrate again with fewer distortion terms (lens.distortion = "radial1") or '
+            "with another `--seed`, and report it where that does not help either.",
             urgent=True,
         )
         advice = [stuck, *advice]

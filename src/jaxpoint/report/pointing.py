@@ -25,7 +25,7 @@ class GestureShown:
     title: str
     sentence: str
     row: Sequence[str]  # of the table of all
-    sheet: UInt8[np.ndarray, "H W 3"]  # red, green, blue
+    sheet: UInt8[np.ndarray, "H W 3"] | None  # red, green, blue; None without images of that moment
     caption: str
     scene: PointingScene
     chances: Sequence[tuple[str, float]]
@@ -72,7 +72,7 @@ def write_pointing_report(
     for gesture in gestures:
         with style():
             drawn = Markup(to_svg(room_view(room, gesture.scene)))
-        (sheet,) = encoded([(gesture.caption, gesture.sheet)])
+        sheets = [] if gesture.sheet is None else encoded([(gesture.caption, gesture.sheet)])
         chances = [[name, f"{100 * chance:.0f} %" if chance >= 0.01 else "< 1 %"] for name, chance in gesture.chances]
         shown.append(
             {
@@ -81,7 +81,7 @@ def write_pointing_report(
                 "sentence": gesture.sentence,
                 "truth": gesture.truth,
                 "right": gesture.right,
-                "sheet": sheet,
+                "sheets": sheets,
                 "room": drawn,
                 "chances": tables.Table(["object", "probability"], chances),
                 "line": tables.Table([], [list(row) for row in gesture.line]),

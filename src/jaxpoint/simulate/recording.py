@@ -32,7 +32,7 @@ def write_session(
     masks: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Write a session into an empty folder that exists; see the README for what lies in it.
+    """Write a session into an empty folder that exists, but for its preview; see the README for what lies in it.
 
     Args:
         folder: it should take its final name only afterwards, so that what is there is whole (`runs.new_run`).
@@ -63,7 +63,6 @@ def write_session(
     if wave is not None:
         _write_wave(folder, wave, names, report)
         write_camera_centres(folder / "camera_centres.csv", session.rig, session.seed)
-    write_preview(folder / "preview.jpg", session)
 
 
 def write_preview(path: Path, session: SimulatedSession) -> None:
