@@ -30,10 +30,11 @@ FREE_CENTER = 0.5  # of the image width: sigma of a principal point whose prior 
 FREE_ASPECT = 0.3  # sigma of a log aspect that is free: beyond the widest standard, 64/45
 TOLD_BADLY = 0.02  # sigma of a log aspect from which a score test has no power: standard aspects are tried instead
 ALIKE = (16 / 15, 4 / 3)  # tried for all cameras alike: the smallest and one of the largest
-OPEN = 6.0  # an aspect of 4/3 that is worse by less cannot be told from square pixels
+OPEN = 3.0  # an aspect of 4/3 that is worse by less cannot be told from square pixels (square ones: 5 to 200)
 LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
-WORTH = 9.0  # least fall of the objective for a prior to be given up: 3 sigmas
-WORTH_EACH = 2.0  # and for every parameter that this frees (Akaike 1974)
+WORTH_CENTER, WORTH_ASPECT = 4.0, 9.0  # least fall of the objective for a prior to be given up: 2 and 3 sigmas,
+WORTH_EACH = 2.0  # and so much more for every parameter that this frees (Akaike 1974)
+SUSPECT, SUSPECTS = 1.5, 2  # sigmas of a principal point from which the worst cameras are tried one by one
 PATTERN_WORSE = 12.0  # a pattern of standard aspects may be worse by so much than free aspects, which fit noise too
 PATTERN_MARGIN = 6.0  # and must lead the next pattern by so much: 20 to 1
 ROUNDS = 3  # one prior after the other
@@ -140,7 +141,7 @@ class PriorChoice:
                 break
             gains = [better_by(trial, solution) - _price(trial, solution) for trial in trials]
             stages.append(self._stage(doubts, trials, solution))
-            if max(gains) < WORTH:
+            if max(gains) < 0:
                 self.findings.extend(self._open_aspect(trials, solution))
                 break
             best = trials[int(np.argmax(gains))]
@@ -159,19 +160,25 @@ class PriorChoice:
             chosen = np.zeros_like(real)
             chosen[: len(doubts.refuted)] = doubts.refuted
             yield self._solved(state, with_free_centers(freedom, chosen, self.recording.image_sizes[:, 0]))
+        elif self.settings.lens.principal_point == "prior":
+            for camera in np.argsort(-doubts.centers)[:SUSPECTS]:
+                if doubts.centers[camera] > SUSPECT:
+                    alone = np.arange(len(real)) == camera
+                    yield self._solved(state, with_free_centers(freedom, alone, self.recording.image_sizes[:, 0]))
         held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
         doubted = doubts.any_center or doubts.aspects_chance < CHANCE
         if self.settings.lens.aspect != "auto" or not held.any():
             return
         if doubted:
             yield self._solved(state, with_free_aspects(freedom, held))
-        elif doubts.aspects_sigma > TOLD_BADLY and self.tracks.pixel_aspects is None:
+        elif doubts.aspects_sigma > TOLD_BADLY and (self.recording.pixel_aspects == 1.0).all():
             for aspect in ALIKE:
                 yield self._with_aspects(solution, (aspect,) * self.recording.cameras)
 
     def _open_aspect(self, trials: list[Solution], solution: Solution) -> Iterator[Finding]:
         """That anamorphic pixels would fit as well as square ones."""
-        if _pinned(trials[-1].freedom).any() and better_by(trials[-1], solution) > -OPEN:
+        last = trials[-1]
+        if _pinned(last.freedom).any() and better_by(last, solution) > -OPEN:
             yield Finding(
                 "pixel aspect",
                 "bad",
@@ -230,5 +237,8 @@ def _pinned(freedom: Freedom) -> Bool[np.ndarray, " D"]:
 
 def _price(trial: Solution, before: Solution) -> float:
     """What the parameters that a trial frees must bring."""
-    looser = trial.freedom.prior_weight < before.freedom.prior_weight
-    return WORTH_EACH * float((trial.freedom.free & (looser | ~before.freedom.free)).sum())
+    freed = trial.freedom.free & ((trial.freedom.prior_weight < before.freedom.prior_weight) | ~before.freedom.free)
+    aspects = trial.freedom.free[:, ASPECT] != before.freedom.free[:, ASPECT]
+    pinned = trial.freedom.prior_mean[:, ASPECT] != before.freedom.prior_mean[:, ASPECT]
+    base = WORTH_ASPECT if aspects.any() or pinned.any() else WORTH_CENTER
+    return base + WORTH_EACH * float(freed.sum())

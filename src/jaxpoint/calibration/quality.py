@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from jaxpoint.calibration.camera_checks import camera_findings
 from jaxpoint.calibration.determinacy import undetermined
+from jaxpoint.calibration.known_lenses import known_lens_findings
 from jaxpoint.calibration.lens_checks import lens_findings
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.prior_checks import prior_findings
@@ -63,9 +64,8 @@ class Quality:
         if not causes:
             reasons = " and ".join(check.reason for check in failed)
             return kind(f"{reasons[0].upper()}{reasons[1:]}; the results are kept and marked. {_LOOK}")
-        more = "".join(f" Also: {item.finding}" for item in causes[1:])
-        first = causes[0]
-        return kind(f"{first.finding} {first.remedy.rstrip('.')}.{more} The results are kept and marked.")
+        told = " Also: ".join(f"{item.finding} {item.remedy.rstrip('.')}." for item in causes)
+        return kind(f"{told} The results are kept and marked.")
 
 
 SOLVER = "Solver"
@@ -87,6 +87,7 @@ def assess(
     found = [
         *calibration.findings,
         *prior_findings(calibration, normal),
+        *known_lens_findings(calibration, normal),
         *undetermined(calibration, settings),
         *lens_findings(calibration),
         *camera_findings(calibration, settings, normal),
