@@ -1,0 +1,189 @@
+"""Which frames of several cameras belong together: by number, by time, or, only where nothing else speaks, by place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.io.clock import common_clock, gaps_of, period_of
+from jaxpoint.io.frames import FrameSource
+
+PairBy = Literal["auto", "number", "time", "place"]
+
+END_FRAMES = 2.5  # frames that one recorder may stop before another
+END_PART = 0.01  # of the length, where stamps tell of dropped frames or of another rate
+SAME_RATE = 5e-4  # relative difference of rates that counts as none
+PLACE = "their place in the recordings"
+STAMPS = "the time stamps of the videos, each counted from its first frame"
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """F rows, one for each moment, of C cameras."""
+
+    frame_ids: Int[np.ndarray, " F"]  # number of the moment, rising
+    index: Int[np.ndarray, "F C"]  # position in each camera's own frames; -1 where it has none
+    times: Float[np.ndarray, " F"] | None  # s
+    by: str  # for people: "the number after 'frame_'"
+    notes: tuple[str, ...] = ()  # what a user should know, a sentence each
+    ahead: Float[np.ndarray, "F C"] | None = None  # rows: time of a frame minus its row's, where times were compared
+    other_rate: Bool[np.ndarray, " C"] | None = None  # cameras that run at another rate than the rows
+
+    def select(self, cameras: Sequence[int]) -> Pairing:
+        """The rows as they are, of some cameras."""
+        kept = list(cameras)
+        ahead = None if self.ahead is None else self.ahead[:, kept]
+        rate = None if self.other_rate is None else self.other_rate[kept]
+        return Pairing(self.frame_ids, self.index[:, kept], self.times, self.by, self.notes, ahead, rate)
+
+
+def pair_frames(
+    sources: Sequence[FrameSource],
+    names: Sequence[str],
+    by: PairBy = "auto",
+    *,
+    remedy: str,
+    any_length: bool = False,
+) -> Pairing:
+    """One row for each moment of which any camera has a frame.
+
+    Args:
+        sources: of each camera.
+        names: of the cameras.
+        by: `auto` takes what the input says: time stamps of videos, numbers or times in the names of images, and the
+            place only where there is none of these and all cameras have as many frames. The others insist on one.
+        remedy: how a user says which frames belong together, the end of a sentence.
+        any_length: videos may differ in length, from their first frames on.
+
+    Raises:
+        InsufficientDataError: the input does not say which frames belong together, or says it in two ways.
+        UsageError: it does not hold what `by` asks for.
+    """
+    from jaxpoint.io.name_pairing import pair_by_names
+
+    if by == "place":
+        return pair_by_place(sources, names, remedy)
+    folders = [source.times is None and bool(source.columns) for source in sources]
+    if all(folders):
+        return pair_by_names(sources, names, by, remedy)
+    if all(source.times is not None and len(source) > 1 for source in sources):
+        if by == "number":
+            raise UsageError("Videos have no frame numbers but their places; leave out --pair-by, or say place.")
+        return _by_stamps(sources, names, any_length or by == "time")
+    if by != "auto":
+        silent = names[folders.index(False)]
+        raise UsageError(f"Camera '{silent}' has no {by} of its frames; leave out --pair-by, or say --pair-by place.")
+    return pair_by_place(sources, names, remedy)
+
+
+def pair_by_ids(sources: Sequence[FrameSource], by: str) -> Pairing:
+    """Each frame by its number, which is its position where the names hold none."""
+    ids = np.unique(np.concatenate([source.frame_ids for source in sources]))
+    index = np.full((len(ids), len(sources)), -1)
+    for camera, source in enumerate(sources):
+        index[np.searchsorted(ids, source.frame_ids), camera] = np.arange(len(source))
+    return Pairing(ids, index, _agreed_times(ids, index, sources), by)
+
+
+def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: str) -> Pairing:
+    """The first with the first, where all cameras have as many frames and no number tells of a lost one.
+
+    Raises:
+        InsufficientDataError: they have not.
+    """
+    counts = [len(source) for source in sources]
+    if min(counts) < max(counts):
+        few, many = int(np.argmin(counts)), int(np.argmax(counts))
+        raise InsufficientDataError(
+            f"Cameras '{names[few]}' and '{names[many]}' have {counts[few]} and {counts[many]} frames, and neither "
+            f"numbers nor times say which belong together; {remedy}."
+        )
+    lacking = [camera for camera, source in enumerate(sources) if source.numbered and _gaps(source.frame_ids)]
+    if lacking and not all(source.numbered for source in sources):
+        camera = lacking[0]
+        silent = next(name for name, source in zip(names, sources) if not source.numbered)
+        raise InsufficientDataError(
+            f"The numbers of camera '{names[camera]}' have {_gaps(sources[camera].frame_ids)} gaps and camera "
+            f"'{silent}' has no numbers, so it is not known which frames belong together; {remedy}."
+        )
+    ids = np.arange(counts[0])
+    index = np.tile(ids[:, None], (1, len(sources)))
+    notes = ("Nothing but the place pairs the frames: all recordings must have started at once and lost none.",)
+    return Pairing(ids, index, _agreed_times(ids, index, sources), PLACE, notes if len(sources) > 1 else ())
+
+
+def _by_stamps(sources: Sequence[FrameSource], names: Sequence[str], any_length: bool) -> Pairing:
+    stamps = [source.times for source in sources if source.times is not None]
+    clock = common_clock(stamps)
+    notes = _rate_notes(stamps, names, clock.period) + _gap_notes(stamps, names)
+    length = _length_note(stamps, names, bool(notes))
+    if length and not any_length:
+        raise InsufficientDataError(
+            f"{length}, and their stamps do not say which frames belong together; cut the videos to the same moments, "
+            "or, if all started at once, say --pair-by time; with a timestamps.csv for `calibrate`, say "
+            "--unequal-lengths."
+        )
+    if length:
+        notes = (*notes, f"{length}; they are taken to have started at once, which is to be checked.")
+    times = clock.ticks * clock.period
+    return Pairing(clock.ticks, clock.index, times, STAMPS, notes, clock.ahead, clock.other_rate)
+
+
+def _rate_notes(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str], period: float) -> tuple[str, ...]:
+    """What to tell where the rates differ."""
+    periods = np.array([period_of(own) for own in stamps])
+    if (np.abs(periods / period - 1) < SAME_RATE).all():
+        return ()
+    leader = names[int(np.abs(periods - period).argmin())]
+    rates = ", ".join(f"{name} {1 / own:.4g}" for name, own in zip(names, periods))
+    return (f"The videos have unlike frame rates ({rates} a second); moments are those of '{leader}', by time.",)
+
+
+def _gap_notes(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str]) -> tuple[str, ...]:
+    gaps = [(name, gaps_of(own)) for name, own in zip(names, stamps)]
+    return tuple(
+        f"The time stamps of '{name}' skip {count} frame{'s' * (count > 1)}; they stay gaps."
+        for name, count in gaps
+        if count
+    )
+
+
+def _length_note(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str], told: bool) -> str:
+    """The start of a sentence where the recordings differ in length by more than stamps explain, else nothing."""
+    periods = [period_of(own) for own in stamps]
+    lengths = np.array([own[-1] + period for own, period in zip(stamps, periods)])
+    short, long = int(lengths.argmin()), int(lengths.argmax())
+    spare = max(END_FRAMES * max(periods), END_PART * lengths[long] if told else 0.0)
+    if lengths[long] - lengths[short] <= spare:
+        return ""
+    return (
+        f"The videos have unlike lengths: '{names[short]}' has {len(stamps[short])} frames, others up to "
+        f"{len(stamps[long])} ({lengths[short]:.4g} and {lengths[long]:.4g} s)"
+    )
+
+
+def _agreed_times(
+    ids: Int[np.ndarray, " F"], index: Int[np.ndarray, "F C"], sources: Sequence[FrameSource]
+) -> Float[np.ndarray, " F"] | None:
+    """Times of the rows where all cameras know them and agree within half a frame."""
+    times = np.full(index.shape, np.nan)
+    for camera, source in enumerate(sources):
+        if source.times is None:
+            return None
+        has = index[:, camera] >= 0
+        times[has, camera] = source.times[index[has, camera]]
+    first = np.nanmin(times, axis=1)
+    step = float(np.median(np.diff(first))) if len(ids) > 1 else np.inf
+    agree = (np.nanmax(times, axis=1) - first < step / 2).all() and (np.diff(first) > 0).all()
+    return first if agree else None
+
+
+def _gaps(ids: Int[np.ndarray, " F"]) -> int:
+    """Numbers that are missing between the first and the last."""
+    steps = np.diff(ids)
+    return int((steps // max(int(np.median(steps)), 1) - 1).clip(min=0).sum()) if len(steps) else 0
