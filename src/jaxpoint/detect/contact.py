@@ -46,7 +46,8 @@ def contact_sheet(
     mask = _mask(detection, camera, source)
     crops = []
     for reason in Reason:
-        frames = np.flatnonzero(detection.reasons[:, camera] == reason)
+        shown = detection.pairing.index[:, camera] >= 0  # others lie between two frames
+        frames = np.flatnonzero(shown & (detection.reasons[:, camera] == reason))
         if reason == Reason.NO_IMAGE or not len(frames):
             continue
         for frame in frames[np.unique(np.linspace(0, len(frames) - 1, per_reason).astype(int))]:

@@ -129,8 +129,13 @@ class _Recording:
 
     def select(self, cameras: Sequence[int]) -> _Recording:
         """Some of the cameras."""
-        parts = (tuple(part[i] for i in cameras) for part in (self.paths, self.names, self.sources, self.masks))
-        return _Recording(*parts, self.pairing.select(cameras))
+        return _Recording(
+            tuple(self.paths[i] for i in cameras),
+            tuple(self.names[i] for i in cameras),
+            tuple(self.sources[i] for i in cameras),
+            tuple(self.masks[i] for i in cameras),
+            self.pairing.select(cameras),
+        )
 
 
 def _pair(sources: Sequence[FrameSource], names: Sequence[str], settings: LedSettings) -> Pairing:
@@ -172,7 +177,7 @@ def _assemble(recording: _Recording, lights: Sequence[CameraLights], started: fl
         frames = pairing.index[rows, camera]
         pixels[rows, camera], covariance[rows, camera] = light.pixels[frames], light.covariance[frames]
         reasons[rows, camera], brightest[rows, camera] = light.reasons[frames], light.brightest[frames]
-        _retime(pairing, camera, pixels, covariance, reasons)
+        _retime(pairing, camera, light, pixels, covariance, reasons)
     tracks = Tracks.from_pixels(
         pixels,
         image_sizes=np.array([light.size for light in lights]),
@@ -192,19 +197,19 @@ def _assemble(recording: _Recording, lights: Sequence[CameraLights], started: fl
 def _retime(
     pairing: Pairing,
     camera: int,
+    light: CameraLights,
     pixels: Float[np.ndarray, "F C 2"],
     covariance: Float[np.ndarray, "F C 2 2"],
     reasons: Int[np.ndarray, "F C"],
 ) -> None:
     """Bring the lights of a camera of another rate to the times of the rows, in place."""
-    if pairing.ahead is None or pairing.other_rate is None or not pairing.other_rate[camera]:
+    if not pairing.places or pairing.other_rate is None or not pairing.other_rate[camera]:
         return
-    found = reasons[:, camera] == Reason.FOUND
-    moved = retime(pairing.frame_ids, pairing.ahead[:, camera], pixels[:, camera], covariance[:, camera], found)
-    lost = found & ~moved.known
-    pixels[:, camera] = np.where(lost[:, None], 0.0, moved.pixels)
-    covariance[:, camera] = np.where(lost[:, None, None], 0.0, moved.covariance)
-    reasons[lost, camera] = Reason.BETWEEN
+    found = light.reasons == Reason.FOUND
+    moved = retime(pairing.frame_ids, pairing.places[camera], light.pixels, light.covariance, found)
+    lost = (reasons[:, camera] == Reason.FOUND) & ~moved.known
+    pixels[:, camera], covariance[:, camera] = moved.pixels, moved.covariance
+    reasons[moved.known, camera], reasons[lost, camera] = Reason.FOUND, Reason.BETWEEN
 
 
 def _pixel_aspects(sources: Sequence[FrameSource]) -> Float[np.ndarray, " C"] | None:

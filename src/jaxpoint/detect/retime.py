@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-NEAR = 0.02  # rows: a frame this near to its row is that of the row
+NEAR = 0.02  # rows: a frame this near to a row is that of the row
 MAX_GAP = 1.6  # periods of the camera: between frames further apart one was lost
 
 
@@ -18,46 +18,41 @@ MAX_GAP = 1.6  # periods of the camera: between frames further apart one was los
 class Retimed:
     """One camera's lights at the times of the rows."""
 
-    pixels: Float[np.ndarray, "F 2"]  # px
-    covariance: Float[np.ndarray, "F 2 2"]  # px^2
+    pixels: Float[np.ndarray, "F 2"]  # px, (0, 0) where not known
+    covariance: Float[np.ndarray, "F 2 2"]  # px^2, zeros where not known
     known: Bool[np.ndarray, " F"]  # False where the light was not seen both before and after
 
 
 def retime(
     rows: Int[np.ndarray, " F"],
-    ahead: Float[np.ndarray, " F"],
-    pixels: Float[np.ndarray, "F 2"],
-    covariance: Float[np.ndarray, "F 2 2"],
-    found: Bool[np.ndarray, " F"],
+    times: Float[np.ndarray, " N"],
+    pixels: Float[np.ndarray, "N 2"],
+    covariance: Float[np.ndarray, "N 2 2"],
+    found: Bool[np.ndarray, " N"],
 ) -> Retimed:
-    """Cubic interpolation between the two frames around each row in which the light was found.
+    """Cubic interpolation between the two frames around each of F rows, where both show the light.
 
     Args:
-        rows: times of the rows, in rows.
-        ahead: rows, by which each frame is later than its row.
-        pixels: of the frames, px.
+        rows: times of the rows.
+        times: of the camera's N frames, in the same unit, rising.
+        pixels: of the light in each frame, px.
         covariance: of the pixels, px^2.
         found: whether the frame shows the light.
     """
-    near = found & (np.abs(ahead) < NEAR)
-    frames = np.flatnonzero(found)
-    if len(frames) < 2:
-        return Retimed(pixels, covariance, near)
-    own, places = (rows + ahead)[frames], pixels[frames]
-    gap = MAX_GAP * float(np.median(np.diff(own)))
+    own, places, spread = times[found], pixels[found], covariance[found]
+    if len(own) < 2:
+        return Retimed(np.zeros((len(rows), 2)), np.zeros((len(rows), 2, 2)), np.zeros(len(rows), dtype=bool))
+    gap = MAX_GAP * float(np.median(np.diff(times)))
     after = np.searchsorted(own, rows).clip(1, len(own) - 1)
     start, end = own[after - 1], own[after]
-    between = found & (start <= rows) & (rows <= end) & (end - start <= gap) & ~near
-    part = np.where(between, (rows - start) / (end - start), 0.0)[:, None]
+    at_frame = (np.abs(start - rows) < NEAR) | (np.abs(end - rows) < NEAR)
+    known = at_frame | ((start <= rows) & (rows <= end) & (end - start <= gap))
+    part = ((rows - start) / (end - start)).clip(0, 1)[:, None]
     slope = _slopes(own, places, gap)
     moved = _hermite(part, (end - start)[:, None], places[after - 1], places[after], slope[after - 1], slope[after])
-    spread = covariance[frames]
-    mixed = (1 - part[..., None]) ** 2 * spread[after - 1] + part[..., None] ** 2 * spread[after]
-    return Retimed(
-        np.where(between[:, None], moved, pixels),
-        np.where(between[:, None, None], mixed, covariance),
-        near | between,
-    )
+    part = part[..., None]
+    mixed = (1 - part) ** 2 * spread[after - 1] + part**2 * spread[after]
+    return Retimed(np.where(known[:, None], moved, 0.0), np.where(known[:, None, None], mixed, 0.0), known)
 
 
 def _slopes(times: Float[np.ndarray, " N"], places: Float[np.ndarray, "N 2"], gap: float) -> Float[np.ndarray, "N 2"]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-ONE_CLASS = 0.95  # of the longest period: cameras of such rates are meant to be alike, slower clocks lead faster ones
+ONE_CLASS = 0.67  # of the longest period: of such rates the middle one is the clock; of rates unlike, the slowest
 STEADY = 0.5  # length of the mean direction of a camera's phases from which it keeps one phase to the clock
 HALF = 0.5 - 1e-6  # of a period: what lies right between two rows belongs to neither
 OFF_CLOCK = 0.25  # of a period: cameras a tenth of whose frames lie further from their rows run at another rate
@@ -21,14 +21,16 @@ class Clock:
     period: float  # from tick to tick, in the unit of the times
     ticks: Int[np.ndarray, " F"]  # those in which a camera has a frame, from 0
     index: Int[np.ndarray, "F C"]  # position in the camera's own frames; -1 where it has none within half a period
-    ahead: Float[np.ndarray, "F C"]  # periods: the frame's time minus its tick's, less the camera's own phase
+    places: tuple[
+        Float[np.ndarray, " _"], ...
+    ]  # ticks: when each frame of each camera was, less the camera's own phase
     other_rate: Bool[np.ndarray, " C"]  # cameras whose frames drift through the ticks
 
 
 def common_clock(times: Sequence[Float[np.ndarray, " _"]]) -> Clock:
     """The nearest frame of every camera to each tick, at most half a period away; gaps stay gaps.
 
-    The clock runs at the rate of most cameras; of rates that differ by more than a twentieth, at the slowest. A camera
+    The clock runs at the middle rate of the cameras, those left out that are faster by half or more. A camera
     that keeps one phase to the clock is matched about that phase, so that jitter does not move it from tick to tick.
 
     Args:
@@ -44,12 +46,10 @@ def common_clock(times: Sequence[Float[np.ndarray, " _"]]) -> Clock:
     kept = [_nearest(own) for own in ticks]
     rows = np.unique(np.concatenate([np.round(own[frames]) for own, frames in zip(ticks, kept)]).astype(int))
     index = np.full((len(rows), len(times)), -1)
-    ahead = np.zeros(index.shape)
     for camera, (own, frames) in enumerate(zip(ticks, kept)):
-        row = np.searchsorted(rows, np.round(own[frames]))
-        index[row, camera], ahead[row, camera] = frames, own[frames] - np.round(own[frames])
-    off = [_far(ahead[index[:, camera] >= 0, camera]) for camera in range(len(times))]
-    return Clock(period, rows - rows[0], index, ahead, np.array(off))
+        index[np.searchsorted(rows, np.round(own[frames])), camera] = frames
+    off = [_far(own[frames] - np.round(own[frames])) for own, frames in zip(ticks, kept)]
+    return Clock(period, rows - rows[0], index, tuple(own - rows[0] for own in ticks), np.array(off))
 
 
 def period_of(times: Float[np.ndarray, " F"]) -> float:

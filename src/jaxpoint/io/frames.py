@@ -21,6 +21,7 @@ class FrameSource(ABC):
     frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording, strictly rising
     numbered: bool  # whether the frame numbers come from file names; else they are positions
     times: Float[np.ndarray, " F"] | None = None  # s from the first frame, where a video states them
+    start: float = 0.0  # s, of the first frame on the clock of the video's container
     columns: tuple[NameColumn, ...] = ()  # numbers and times in file names that rise from file to file
     pixel_aspect: float | None = None  # width over height of a pixel, where the video states it
 

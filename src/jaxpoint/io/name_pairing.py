@@ -108,7 +108,7 @@ def _by_time(columns: tuple[NameColumn, ...]) -> _Way:
         return _Way(columns, Pairing(nothing[:, 0], nothing, None, words), 0.0)
     clock = common_clock(seconds)
     times = None if columns[0].second is None else clock.ticks * clock.period
-    pairing = Pairing(clock.ticks, clock.index, times, words, _notes(clock), clock.ahead, clock.other_rate)
+    pairing = Pairing(clock.ticks, clock.index, times, words, _notes(clock), clock.places, clock.other_rate)
     return _Way(columns, pairing, _share(clock.index))
 
 

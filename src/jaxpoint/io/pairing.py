@@ -15,11 +15,12 @@ from jaxpoint.io.frames import FrameSource
 
 PairBy = Literal["auto", "number", "time", "place"]
 
-END_FRAMES = 2.5  # frames that one recorder may stop before another
+END_FRAMES = 1.5  # one recorder may stop a frame before another
 END_PART = 0.01  # of the length, where stamps tell of dropped frames or of another rate
 SAME_RATE = 5e-4  # relative difference of rates that counts as none
 PLACE = "their place in the recordings"
-STAMPS = "the time stamps of the videos, each counted from its first frame"
+STAMPS = "the time stamps of the videos"
+FROM_FIRST = f"{STAMPS}, each counted from its first frame"
 
 
 @dataclass(frozen=True)
@@ -31,15 +32,15 @@ class Pairing:
     times: Float[np.ndarray, " F"] | None  # s
     by: str  # for people: "the number after 'frame_'"
     notes: tuple[str, ...] = ()  # what a user should know, a sentence each
-    ahead: Float[np.ndarray, "F C"] | None = None  # rows: time of a frame minus its row's, where times were compared
+    places: tuple[Float[np.ndarray, " _"], ...] = ()  # when each frame of each camera was, in numbers of moments
     other_rate: Bool[np.ndarray, " C"] | None = None  # cameras that run at another rate than the rows
 
     def select(self, cameras: Sequence[int]) -> Pairing:
         """The rows as they are, of some cameras."""
         kept = list(cameras)
-        ahead = None if self.ahead is None else self.ahead[:, kept]
+        places = tuple(self.places[i] for i in kept) if self.places else ()
         rate = None if self.other_rate is None else self.other_rate[kept]
-        return Pairing(self.frame_ids, self.index[:, kept], self.times, self.by, self.notes, ahead, rate)
+        return Pairing(self.frame_ids, self.index[:, kept], self.times, self.by, self.notes, places, rate)
 
 
 def pair_frames(
@@ -118,7 +119,7 @@ def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: 
 
 
 def _by_stamps(sources: Sequence[FrameSource], names: Sequence[str], any_length: bool) -> Pairing:
-    stamps = [source.times for source in sources if source.times is not None]
+    stamps, by = _on_one_clock(sources)
     clock = common_clock(stamps)
     notes = _rate_notes(stamps, names, clock.period) + _gap_notes(stamps, names)
     length = _length_note(stamps, names, bool(notes))
@@ -131,7 +132,26 @@ def _by_stamps(sources: Sequence[FrameSource], names: Sequence[str], any_length:
     if length:
         notes = (*notes, f"{length}; they are taken to have started at once, which is to be checked.")
     times = clock.ticks * clock.period
-    return Pairing(clock.ticks, clock.index, times, STAMPS, notes, clock.ahead, clock.other_rate)
+    return Pairing(clock.ticks, clock.index, times, by, notes, clock.places, clock.other_rate)
+
+
+def _on_one_clock(sources: Sequence[FrameSource]) -> tuple[list[Float[np.ndarray, " _"]], str]:
+    """Stamps (s) of all videos, and how to call them.
+
+    Containers start their clocks at will, so each video counts from its first frame; only where all end at one time on
+    the containers' clocks, and otherwise do not, the first frames of some were lost, and these clocks are right.
+    """
+    stamps = [source.times for source in sources if source.times is not None]
+    started = [own + source.start for own, source in zip(stamps, sources)]
+    frame = max(period_of(own) for own in stamps)
+    if _spread_of_ends(started) + frame / 2 < _spread_of_ends(stamps):
+        return started, STAMPS
+    return stamps, FROM_FIRST
+
+
+def _spread_of_ends(stamps: Sequence[Float[np.ndarray, " _"]]) -> float:
+    ends = [own[-1] + period_of(own) for own in stamps]
+    return max(ends) - min(ends)
 
 
 def _rate_notes(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str], period: float) -> tuple[str, ...]:

@@ -20,7 +20,8 @@ class Stamps:
     """The frames of a video by the times that its container states, first to last as they are shown."""
 
     times: Float[np.ndarray, " F"] | None  # s, counted from the first frame; None where the container states none
-    last_place: int  # place of the last frame on the container's own clock, in nominal frames from its zero
+    first_place: int  # of the first frame on the container's own clock, in nominal frames from its zero
+    last_place: int
 
 
 def read_stamps(path: Path) -> Stamps:
@@ -50,8 +51,8 @@ def _read(path: Path, _modified: int, _size: int) -> Stamps:
         found = np.array(sorted(_grabbed(path, raw)) if raw else list(_grabbed(path, raw))).reshape(-1, 2)
         times = found[:, 0] * MS
         if len(times) and np.isfinite(times).all() and (np.diff(times) > 0).all():
-            return Stamps(times - times[0], int(found[-1, 1]))
-    return Stamps(None, len(found) - 1)
+            return Stamps(times - times[0], int(found[0, 1]), int(found[-1, 1]))
+    return Stamps(None, 0, len(found) - 1)
 
 
 def _grabbed(path: Path, raw: bool) -> Iterator[tuple[float, float]]:

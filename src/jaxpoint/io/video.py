@@ -44,6 +44,7 @@ class VideoFile(FrameSource):
         self.frame_ids = np.arange(count)
         self.numbered = False
         self.times = _times(stamps, count, rate)
+        self.start = stamps.first_place / rate if rate > 0 else 0.0
 
     def _open(self) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(str(self.path))
