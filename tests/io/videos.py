@@ -7,6 +7,7 @@ import av
 import numpy as np
 
 SIZE = (48, 32)  # px
+TICKS = 90_000  # a second
 
 
 def picture(value: int, size: tuple[int, int] = SIZE) -> np.ndarray:
@@ -26,16 +27,16 @@ def value_of(image: np.ndarray) -> int:
 def write_stamped(path: Path, images, times, aspect: Fraction | None = None) -> Path:
     """A video with these time stamps (s), and with this width over height of a pixel where one is given."""
     container = av.open(str(path), "w")
-    stream = container.add_stream("mpeg4", rate=30)
+    stream = container.add_stream("libx264", rate=30)
     height, width = images[0].shape[:2]
     stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-    stream.codec_context.time_base = Fraction(1, 60_000)  # MPEG-4 part 2 knows no finer one
-    stream.options = {"qscale": "2"}
+    stream.codec_context.time_base = Fraction(1, TICKS)
+    stream.options = {"crf": "12"}
     if aspect is not None:
         stream.codec_context.sample_aspect_ratio = aspect
     for image, time in zip(images, times):
         frame = av.VideoFrame.from_ndarray(image, format="bgr24")
-        frame.time_base, frame.pts = Fraction(1, 60_000), round(time * 60_000)
+        frame.time_base, frame.pts = Fraction(1, TICKS), round(time * TICKS)
         container.mux(stream.encode(frame))
     container.mux(stream.encode(None))
     container.close()

@@ -14,6 +14,7 @@ from jaxtyping import Float, Int
 from jaxpoint.config import LedSettings
 from jaxpoint.detect.blob import Reason
 from jaxpoint.detect.camera import CameraLights, CameraStats, find_lights
+from jaxpoint.detect.mask import FOLDER as MASK_FOLDER
 from jaxpoint.detect.mask import mask_files, read_mask
 from jaxpoint.detect.retime import retime
 from jaxpoint.detect.workers import run_cameras
@@ -161,6 +162,10 @@ def _check_sources(paths: Sequence[Path], names: Sequence[str]) -> None:
     for i, path in enumerate(resolved):
         if path in resolved[:i]:
             raise UsageError(f"'{paths[i]}' is given twice; name one folder or video a camera.")
+        if path.name == MASK_FOLDER and path.is_dir() and len(paths) > 1:
+            raise UsageError(
+                f"'{paths[i]}' holds masks, not frames of a camera; leave it out, as masks beside the cameras are found."
+            )
     if len(names) != len(paths) or len(set(names)) != len(names):
         raise UsageError(f"{len(paths)} cameras need {len(paths)} different names, not {list(names)}.")
 

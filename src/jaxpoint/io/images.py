@@ -51,7 +51,7 @@ class ImageFolder(FrameSource):
         """The value that white has in the files; found when it is first needed, as it takes many images."""
         if self._white is None:
             sample = np.unique(np.linspace(0, len(self.files) - 1, DEPTH_IMAGES).astype(int))
-            self._white = full_scale(image for image in map(self._sampled, sample) if image is not None)
+            self._white = full_scale(image for image in map(self._sampled, sample.tolist()) if image is not None)
         return self._white
 
     def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
