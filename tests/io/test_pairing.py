@@ -190,6 +190,16 @@ def test_videos_of_unlike_lengths_are_refused_unless_the_start_is_vouched_for():
     pair(whole, Source(times=np.arange(COUNT - 1) / 30))  # a recorder may stop a frame before another
 
 
+def test_a_gap_does_not_excuse_seconds_that_are_missing_at_an_end():
+    whole, gappy = np.arange(3000) / 30, np.delete(np.arange(3000), [5, 6]) / 30
+    with pytest.raises(InsufficientDataError, match="'cam1' has 2973 frames, others up to 3000"):
+        pair(Source(times=whole), Source(times=gappy[:-25]))
+    few = pair(Source(times=whole), Source(times=gappy[:-3]))
+    assert "taken to have started at once" in few.notes[1]
+    as_many = pair(Source(times=whole), Source(times=np.arange(3000) / 29.83))
+    assert "(100 and 100.6 s)" in as_many.notes[1]
+
+
 def test_what_is_asked_for_must_be_there():
     with pytest.raises(UsageError, match="no time that rises"):
         pair(images(lambda k: f"a{k}"), images(lambda k: f"b{k}"), by="time")

@@ -70,6 +70,10 @@ def test_names_without_rising_numbers_count_by_position(tmp_path):
 def test_an_empty_folder_and_a_missing_path(tmp_path):
     with pytest.raises(FileFormatError, match="holds no images"):
         open_frames(tmp_path)
+    (tmp_path / "cameras" / "cam_0").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "cameras" / "cam_0" / "0.png"), picture(0))
+    with pytest.raises(FileFormatError, match="the folder of images 'cam_0', but no images; give these"):
+        open_frames(tmp_path / "cameras")
     with pytest.raises(FileFormatError, match="no video or folder"):
         open_frames(tmp_path / "nothing.mp4")
 

@@ -70,8 +70,8 @@ def find_lights(settings: LedSettings, camera: tuple[Path, Path | None], advance
     source = open_frames(path)
     if len(source) < settings.min_frames:
         raise InsufficientDataError(
-            f"'{path}' has {len(source)} frames, but a background is learnt from at least {settings.min_frames}; "
-            "record longer, or lower --min-frames."
+            f"'{path}' has {len(source)} frame{'s' * (len(source) != 1)}, but a background is learnt from at least "
+            f"{settings.min_frames}; record longer, or lower --min-frames."
         )
     mask = None if mask_file is None else read_mask(mask_file, source.size)
     channel = _strongest_channel(source, mask) if settings.channel == "auto" else settings.channel

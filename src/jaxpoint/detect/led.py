@@ -26,10 +26,6 @@ from jaxpoint.tracks import Tracks
 
 __all__ = ["CameraStats", "DetectionInterrupted", "LedDetection", "Reason", "detect_led"]
 
-REMEDY = (
-    "say which by --pair-by number, --pair-by time or --pair-by place, or name the images so that one number rises "
-    "alike in all cameras"
-)
 OWN_NUMBERS = "the numbers that each recording counts for itself (--unequal-lengths)"
 
 Progress = Callable[[str, int, int], None]
@@ -142,7 +138,7 @@ class _Recording:
 def _pair(sources: Sequence[FrameSource], names: Sequence[str], settings: LedSettings) -> Pairing:
     if settings.unequal_lengths:
         return pair_by_ids(sources, OWN_NUMBERS)
-    return pair_frames(sources, names, settings.pair_by, remedy=REMEDY)
+    return pair_frames(sources, names, settings.pair_by)
 
 
 def camera_names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -164,7 +160,7 @@ def _check_sources(paths: Sequence[Path], names: Sequence[str]) -> None:
             raise UsageError(f"'{paths[i]}' is given twice; name one folder or video a camera.")
         if path.name == MASK_FOLDER and path.is_dir() and len(paths) > 1:
             raise UsageError(
-                f"'{paths[i]}' holds masks, not frames of a camera; leave it out, as masks beside the cameras are found."
+                f"'{paths[i]}' holds masks, not frames of a camera; leave it out; masks beside the cameras are found."
             )
     if len(names) != len(paths) or len(set(names)) != len(names):
         raise UsageError(f"{len(paths)} cameras need {len(paths)} different names, not {list(names)}.")

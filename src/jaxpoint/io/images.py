@@ -17,6 +17,7 @@ from jaxpoint.io.frame_names import read_names
 from jaxpoint.io.frames import FrameSource
 
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".pgm", ".ppm", ".pnm"})
+VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mjpeg", ".mjpg"})
 DEPTH_IMAGES = 101  # looked at for the depth of a recording
 AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH
 
@@ -32,9 +33,7 @@ class ImageFolder(FrameSource):
         self.path = path
         files = sorted(filter(_is_frame, path.iterdir()), key=_natural_key)
         if not files:
-            raise FileFormatError(
-                f"The folder '{path}' holds no images; put the frames of one camera there as jpg, png, tif, bmp or pgm."
-            )
+            raise FileFormatError(_without_images(path))
         names = read_names([file.stem for file in files], path)
         self.files = [files[place] for place in names.order]
         self.columns = names.columns
@@ -89,6 +88,20 @@ class ImageFolder(FrameSource):
             return None
 
 
+def _without_images(path: Path) -> str:
+    """What to tell of a folder that is none of images: it may be that of all cameras."""
+    videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
+    folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and any(map(_is_frame, folder.iterdir()))]
+    for kind, inside in (("the video", videos), ("the folder of images", folders)):
+        if inside:
+            more = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
+            return (
+                f"The folder '{path}' holds {kind} '{inside[0].name}'{more}, but no images; give these one by one, each "
+                "as a camera."
+            )
+    return f"The folder '{path}' holds no images; put the frames of one camera there as jpg, png, tif, bmp or pgm."
+
+
 def read_grey(file: Path) -> UInt8[np.ndarray, "H W"]:
     """One image, such as a mask, as grey levels of 8 bits.
 
@@ -104,7 +117,7 @@ def _decode(file: Path) -> Num[np.ndarray, "..."]:
     image = cv2.imdecode(data, AS_STORED) if data.size else None
     if image is None:
         raise FileFormatError(f"The image '{file}' ({data.size} bytes) cannot be decoded; copy it anew or remove it.")
-    if not np.isfinite(image).all():
+    if np.issubdtype(image.dtype, np.floating) and not np.isfinite(image).all():
         raise FileFormatError(
             f"The image '{file}' holds {np.count_nonzero(~np.isfinite(image))} non-finite values; write 0 there."
         )

@@ -12,12 +12,14 @@ from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.io.clock import Clock, common_clock, period_of
 from jaxpoint.io.frame_names import NameColumn
 from jaxpoint.io.frames import FrameSource
-from jaxpoint.io.pairing import PairBy, Pairing
+from jaxpoint.io.pairing import NUMBER, PairBy, Pairing
 
 MOST = 0.5  # of a camera's frames must have a partner before a number or time is taken for that of the recording
 CLEARER = 0.1  # of the frames: by so many more partners a time wins over a number
 UNLIKE = 0.02  # of the pairs may differ between two ways of pairing that agree
 SHIFT = 0.25  # relative difference of two shifts that count as one
+RENAME = f"{NUMBER}, or, if all started at once and lost none, say --pair-by place"
+SHIFTED = "say --pair-by number if one number is one moment, --pair-by place if all started at once and lost none"
 FEW_FRAMES = 3  # lost at an end
 
 
@@ -35,7 +37,7 @@ class _Way:
         return _kind(self.columns)
 
 
-def pair_by_names(sources: Sequence[FrameSource], names: Sequence[str], by: PairBy, remedy: str) -> Pairing:
+def pair_by_names(sources: Sequence[FrameSource], names: Sequence[str], by: PairBy, remedy: str | None) -> Pairing:
     """The rows that the names give.
 
     Raises:
@@ -47,7 +49,7 @@ def pair_by_names(sources: Sequence[FrameSource], names: Sequence[str], by: Pair
     if not asked and by == "auto":
         raise InsufficientDataError(
             f"The names of the images of cameras {', '.join(names)} hold no number or time that rises in all of them; "
-            f"{remedy}."
+            f"{remedy or RENAME}."
         )
     if not asked:
         raise UsageError(
@@ -150,7 +152,7 @@ def _shifted(columns: Sequence[NameColumn], names: Sequence[str]) -> str:
     return ""
 
 
-def _best(ways: Sequence[_Way], names: Sequence[str], remedy: str) -> _Way:
+def _best(ways: Sequence[_Way], names: Sequence[str], remedy: str | None) -> _Way:
     """The one way that the names speak for.
 
     Raises:
@@ -160,7 +162,7 @@ def _best(ways: Sequence[_Way], names: Sequence[str], remedy: str) -> _Way:
     good = [way for way in usable if way.share >= MOST] or usable
     if not good:
         told = next((way.unlike for way in ways if way.unlike and way.share), "")
-        raise InsufficientDataError(f"{told}; {remedy}." if told else _disjoint(ways[0], names, remedy))
+        raise InsufficientDataError(f"{told}; {remedy or SHIFTED}." if told else _disjoint(ways[0], names, remedy))
     best = good[0]
     for other in good[1:]:
         _check_alike(best, other, names, remedy)
@@ -169,7 +171,7 @@ def _best(ways: Sequence[_Way], names: Sequence[str], remedy: str) -> _Way:
     return best
 
 
-def _check_alike(way: _Way, other: _Way, names: Sequence[str], remedy: str) -> None:
+def _check_alike(way: _Way, other: _Way, names: Sequence[str], remedy: str | None) -> None:
     """Two ways of pairing must give the same partners to nearly all frames that both of them pair."""
     counts = (way.pairing.index >= 0).sum(axis=0)
     fullest = int(counts.argmax())
@@ -180,7 +182,8 @@ def _check_alike(way: _Way, other: _Way, names: Sequence[str], remedy: str) -> N
         if unlike > max(1, UNLIKE * both.sum()):
             raise InsufficientDataError(
                 f"{_capital(way.columns[0].words)} and {other.columns[0].words} pair the images of cameras "
-                f"'{names[fullest]}' and '{name}' differently ({unlike} of {both.sum()}); {remedy}."
+                f"'{names[fullest]}' and '{name}' differently ({unlike} of {both.sum()}); "
+                f"{remedy or f'say which is right by --pair-by {way.kind} or --pair-by {other.kind}'}."
             )
 
 
@@ -192,7 +195,7 @@ def _partners(index: Int[np.ndarray, "F C"], first: int, second: int, count: int
     return partners
 
 
-def _disjoint(way: _Way, names: Sequence[str], remedy: str) -> str:
+def _disjoint(way: _Way, names: Sequence[str], remedy: str | None) -> str:
     first = way.columns[0]
     what = "frame number" if way.kind == "number" else "time"
     index = next(
@@ -202,7 +205,7 @@ def _disjoint(way: _Way, names: Sequence[str], remedy: str) -> str:
     other = way.columns[index].values
     return (
         f"Cameras '{names[0]}' and '{names[index]}' have no {what} in common ({first.values[0]} to "
-        f"{first.values[-1]}, and {other[0]} to {other[-1]}); {remedy}."
+        f"{first.values[-1]}, and {other[0]} to {other[-1]}); {remedy or RENAME}."
     )
 
 

@@ -16,8 +16,11 @@ from jaxpoint.io.frames import FrameSource
 PairBy = Literal["auto", "number", "time", "place"]
 
 END_FRAMES = 1.5  # one recorder may stop a frame before another
-END_PART = 0.01  # of the length, where stamps tell of dropped frames or of another rate
+DROPPED_AT_END = 5  # frames that a recorder may lose at an end where it also lost others
+END_PART = 0.01  # of the length, where as many frames were taken at unlike rates
 SAME_RATE = 5e-4  # relative difference of rates that counts as none
+CUT = "cut them to the same moments, or, with a timestamps.csv for `calibrate`, say --unequal-lengths"
+NUMBER = "number the images of all cameras alike"
 PLACE = "their place in the recordings"
 STAMPS = "the time stamps of the videos"
 FROM_FIRST = f"{STAMPS}, each counted from its first frame"
@@ -48,7 +51,7 @@ def pair_frames(
     names: Sequence[str],
     by: PairBy = "auto",
     *,
-    remedy: str,
+    remedy: str | None = None,
     any_length: bool = False,
 ) -> Pairing:
     """One row for each moment of which any camera has a frame.
@@ -58,7 +61,7 @@ def pair_frames(
         names: of the cameras.
         by: `auto` takes what the input says: time stamps of videos, numbers or times in the names of images, and the
             place only where there is none of these and all cameras have as many frames. The others insist on one.
-        remedy: how a user says which frames belong together, the end of a sentence.
+        remedy: how a user says which frames belong together, the end of a sentence; None where there is `--pair-by`.
         any_length: videos may differ in length, from their first frames on.
 
     Raises:
@@ -91,7 +94,7 @@ def pair_by_ids(sources: Sequence[FrameSource], by: str) -> Pairing:
     return Pairing(ids, index, _agreed_times(ids, index, sources), by)
 
 
-def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: str) -> Pairing:
+def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: str | None = None) -> Pairing:
     """The first with the first, where all cameras have as many frames and no number tells of a lost one.
 
     Raises:
@@ -102,7 +105,7 @@ def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: 
         few, many = int(np.argmin(counts)), int(np.argmax(counts))
         raise InsufficientDataError(
             f"Cameras '{names[few]}' and '{names[many]}' have {counts[few]} and {counts[many]} frames, and neither "
-            f"numbers nor times say which belong together; {remedy}."
+            f"numbers nor times say which belong together; {remedy or CUT}."
         )
     lacking = [camera for camera, source in enumerate(sources) if source.numbered and _gaps(source.frame_ids)]
     if lacking and not all(source.numbered for source in sources):
@@ -110,7 +113,7 @@ def pair_by_place(sources: Sequence[FrameSource], names: Sequence[str], remedy: 
         silent = next(name for name, source in zip(names, sources) if not source.numbered)
         raise InsufficientDataError(
             f"The numbers of camera '{names[camera]}' have {_gaps(sources[camera].frame_ids)} gaps and camera "
-            f"'{silent}' has no numbers, so it is not known which frames belong together; {remedy}."
+            f"'{silent}' has no numbers, so it is not known which frames belong together; {remedy or NUMBER}."
         )
     ids = np.arange(counts[0])
     index = np.tile(ids[:, None], (1, len(sources)))
@@ -122,12 +125,11 @@ def _by_stamps(sources: Sequence[FrameSource], names: Sequence[str], any_length:
     stamps, by = _on_one_clock(sources)
     clock = common_clock(stamps)
     notes = _rate_notes(stamps, names, clock.period) + _gap_notes(stamps, names)
-    length = _length_note(stamps, names, bool(notes))
-    if length and not any_length:
+    length, explained = _length_note(stamps, names, bool(notes))
+    if length and not (any_length or explained):
         raise InsufficientDataError(
-            f"{length}, and their stamps do not say which frames belong together; cut the videos to the same moments, "
-            "or, if all started at once, say --pair-by time; with a timestamps.csv for `calibrate`, say "
-            "--unequal-lengths."
+            f"{length}, and their stamps do not say which frames belong together; if all started at once, say "
+            f"--pair-by time; else {CUT}."
         )
     if length:
         notes = (*notes, f"{length}; they are taken to have started at once, which is to be checked.")
@@ -173,18 +175,24 @@ def _gap_notes(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str]) 
     )
 
 
-def _length_note(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str], told: bool) -> str:
-    """The start of a sentence where the recordings differ in length by more than stamps explain, else nothing."""
+def _length_note(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str], told: bool) -> tuple[str, bool]:
+    """The start of a sentence where the recordings differ in length, and whether that is no wonder.
+
+    It is none where stamps tell of dropped frames, and a few more may have been at an end, or of rates, and all
+    recorders stopped after as many frames.
+    """
     periods = [period_of(own) for own in stamps]
     lengths = np.array([own[-1] + period for own, period in zip(stamps, periods)])
     short, long = int(lengths.argmin()), int(lengths.argmax())
-    spare = max(END_FRAMES * max(periods), END_PART * lengths[long] if told else 0.0)
-    if lengths[long] - lengths[short] <= spare:
-        return ""
-    return (
+    more = lengths[long] - lengths[short]
+    if more <= END_FRAMES * max(periods):
+        return "", True
+    as_many = len(stamps[short]) == len(stamps[long]) and more <= END_PART * lengths[long]
+    note = (
         f"The videos have unlike lengths: '{names[short]}' has {len(stamps[short])} frames, others up to "
         f"{len(stamps[long])} ({lengths[short]:.4g} and {lengths[long]:.4g} s)"
     )
+    return note, told and (more <= DROPPED_AT_END * max(periods) or as_many)
 
 
 def _agreed_times(

@@ -24,13 +24,14 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import natural_key
+from jaxpoint.io.frames import FrameSource
+from jaxpoint.io.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from jaxpoint.io.pairing import pair_frames
 from jaxpoint.io.timestamps import Timestamps, read_timestamps
-from jaxpoint.io.video import IMAGE_SUFFIXES, FrameSource, open_frames
+from jaxpoint.io.video import open_frames
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mjpeg", ".mjpg"})
 MASKS = "masks"  # folder of one image a camera, which is no camera itself
-REMEDY = "say which in a timestamps.csv, or number the images of all cameras alike"
+REMEDY = "say which belong together in a timestamps.csv, or number the images of all cameras alike"
 logger = logging.getLogger(__name__)
 
 
