@@ -6,6 +6,7 @@ import pytest
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.depth import full_scale
+from jaxpoint.io.images import share_white
 from jaxpoint.io.video import open_frames
 
 SCENE = np.linspace(0.02, 0.9, 48 * 32).reshape(32, 48)  # of white
@@ -52,6 +53,15 @@ def test_fractions_are_scaled_by_one_or_by_what_they_hold(tmp_path, white):
     source = folder_of(tmp_path, [image, image - white * 0.1], "tif")
     assert np.abs(source.read(0)[..., 2].astype(int) - EIGHT).max() <= 1
     assert source.read(1).min() == 0  # negative ones are black
+
+
+def test_two_recordings_of_a_camera_are_scaled_alike(tmp_path):
+    for name, image in (("wave", whole(12)), ("empty", whole(12) // 8)):
+        (tmp_path / name).mkdir()
+        cv2.imwrite(str(tmp_path / name / "0.png"), image)
+    wave, empty = open_frames(tmp_path / "wave"), open_frames(tmp_path / "empty")
+    share_white(wave, empty)
+    assert (wave.white, empty.white) == (4095, 4095)
 
 
 def test_images_that_cannot_be_of_one_recording(tmp_path):

@@ -53,6 +53,10 @@ class ImageFolder(FrameSource):
             self._white = full_scale(image for image in map(self._sampled, sample.tolist()) if image is not None)
         return self._white
 
+    @white.setter
+    def white(self, value: float) -> None:
+        self._white = value
+
     def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
         if not 0 <= index < len(self.files):
             raise IndexError(f"'{self.path}' has {len(self.files)} images, no position {index}.")
@@ -96,10 +100,18 @@ def _without_images(path: Path) -> str:
         if inside:
             more = f" and {len(inside) - 1} more" if len(inside) > 1 else ""
             return (
-                f"The folder '{path}' holds {kind} '{inside[0].name}'{more}, but no images; give these one by one, each "
-                "as a camera."
+                f"The folder '{path}' holds {kind} '{inside[0].name}'{more}, but no images; give these one by one, a "
+                "camera each."
             )
     return f"The folder '{path}' holds no images; put the frames of one camera there as jpg, png, tif, bmp or pgm."
+
+
+def share_white(*sources: FrameSource) -> None:
+    """Bring several recordings of one camera, such as its empty room, to 8 bits alike."""
+    folders = [source for source in sources if isinstance(source, ImageFolder)]
+    white = max((folder.white for folder in folders), default=255.0)
+    for folder in folders:
+        folder.white = white
 
 
 def read_grey(file: Path) -> UInt8[np.ndarray, "H W"]:

@@ -192,7 +192,7 @@ def _length_note(stamps: Sequence[Float[np.ndarray, " _"]], names: Sequence[str]
         f"The videos have unlike lengths: '{names[short]}' has {len(stamps[short])} frames, others up to "
         f"{len(stamps[long])} ({lengths[short]:.4g} and {lengths[long]:.4g} s)"
     )
-    return note, told and (more <= DROPPED_AT_END * max(periods) or as_many)
+    return note, bool(told and (more <= DROPPED_AT_END * max(periods) or as_many))
 
 
 def _agreed_times(
