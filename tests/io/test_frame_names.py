@@ -63,9 +63,18 @@ def test_times_are_read_in_seconds(name):
     np.testing.assert_allclose(seconds, np.arange(COUNT) / 30, atol=6e-4)
 
 
-def test_a_counter_and_a_time_stand_side_by_side():
-    stems = [f"frame_{k:06d}_{1712345678.25 + k / 30:.3f}" for k in K]
-    assert told(stems) == [("number", "frame_"), ("time", "_")]
+@pytest.mark.parametrize(
+    "name",
+    [
+        lambda k: f"frame_{k:06d}_{1712345678.25 + k / 30:.3f}",
+        lambda k: f"frame_{k:04d}_202402151816{k // 30:02d}{k % 30 * 33:03d}",  # 0000 is no year
+        lambda k: f"frame_{2000 + k}_202402151816{k // 30:02d}{k % 30 * 33:03d}",
+    ],
+)
+def test_a_counter_and_a_time_stand_side_by_side(name):
+    found = columns([name(k) for k in K])
+    assert [(column.kind, column.label) for column in found] == [("number", "frame_"), ("time", "_")]
+    assert found[1].second == 1000
 
 
 def test_milliseconds_without_a_date_are_a_clock_and_random_gaps_are_not():

@@ -185,7 +185,10 @@ def _epoch(part: _Part) -> _Part:
 
 Found = tuple[_Part, tuple[int, int]] | None
 _END = r"(?!\d)"
-_DATE = r"(?<!\d)(\d{4})[-_.]?(\d{2})[-_.]?(\d{2})[-_T ]{0,2}(\d{2})[-_:.hH]?(\d{2})[-_:.mM]?(\d{2})"
+_DATE = (
+    r"(?<!\d)((?:19|20)\d{2})([-_.]?)(0[1-9]|1[0-2])\2(0[1-9]|[12]\d|3[01])[-_T ]{0,2}"
+    r"([01]\d|2[0-3])[-_:.hH]?([0-5]\d)[-_:.mM]?([0-5]\d)"
+)
 _DAY = r"(?<!\d)(\d{2})[-_:.hH](\d{2})[-_:.mM](\d{2})"
 _JOINED = r"(\d{1,9})" + _END
 _FRACTION = r"[-_.,sS](\d{1,9})" + _END
@@ -243,7 +246,7 @@ def _matched(stems: Sequence[str], pattern: str, read: Callable[[Sequence[str]],
     if first is None:
         return None
     try:
-        values = [read(match.groups()) for match in found if match is not None]
+        values = [read(list(filter(str.isdigit, match.groups()))) for match in found if match is not None]
     except ValueError:  # a month 13 and the like: other numbers that look so
         return None
     if len(values) < len(stems):
