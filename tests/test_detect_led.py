@@ -13,6 +13,8 @@ import pytest
 from videos import write_stamped
 
 from jaxpoint.cli import main
+from jaxpoint.commands.detect_led import REMEDIES
+from jaxpoint.detect.blob import Reason
 from jaxpoint.io.tracks import load_tracks
 
 SIZE = (160, 120)
@@ -150,3 +152,16 @@ def test_masks_are_said_and_drawn(tmp_path, capsys):
     code, _, err = run(capsys, *given, "--force")
     assert code == 7
     assert "black all over" in err
+
+
+def test_a_camera_without_light_is_told_what_helps_against_its_reason(tmp_path, capsys):
+    assert set(REMEDIES) == {reason.name.lower() for reason in Reason} - {"found"}
+    rng = np.random.default_rng(2)
+    (tmp_path / "cam").mkdir()
+    for k in range(30):  # two lights, each on its way
+        both = np.maximum(picture(k / 30, rng), picture(k / 30 + 0.7, rng))
+        cv2.imwrite(str(tmp_path / "cam" / f"{k}.png"), both)
+    code, _, err = run(capsys, tmp_path / "cam", "--min-frames", 30, "--out", tmp_path / "t.npz")
+    assert code == 4
+    assert "for the reason 'several'" in err
+    assert "hide reflections and windows by --masks" in err

@@ -78,6 +78,13 @@ def test_an_empty_folder_and_a_missing_path(tmp_path):
         open_frames(tmp_path / "nothing.mp4")
 
 
+def test_a_frame_in_two_formats_is_not_two(tmp_path):
+    for name in ("0.png", "1.png", "1.jpg"):
+        cv2.imwrite(str(tmp_path / name), picture(0))
+    with pytest.raises(FileFormatError, match=r"1\.jpg' and '1\.png' are one frame in two formats"):
+        open_frames(tmp_path)
+
+
 def test_a_single_image_is_not_a_recording(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), picture(0))
     with pytest.raises(FileFormatError, match="single image"):

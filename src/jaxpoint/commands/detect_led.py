@@ -86,13 +86,13 @@ def _told(detection: LedDetection) -> tuple[str, ...]:
     return (*paired, *detection.pairing.notes, *hidden)
 
 
-_REMEDIES = {
-    "dark": "is the light on and in its view, or does another --channel show it?",
+REMEDIES = {
+    "dark": "switch the light on in its view, expose longer, or try another --channel",
     "too_large": "dim the room, expose shorter, or raise --led-radius-px",
     "weak": "take a brighter light or a darker room, try another --channel, or lower --min-deviations",
     "several": "leave one light on, and hide reflections and windows by --masks",
     "blurred": "wave it slower, expose shorter, or raise --max-eccentricity",
-    "unlike": "is it larger than --led-radius-px? Hide reflections and moving lights by --masks",
+    "unlike": "raise --led-radius-px if the light is larger, and hide reflections and other moving lights by --masks",
     "at_border": "wave it further inside the image, and draw masks larger than the reflections that they hide",
     "between": "its frames are too few for the clock of the others; record all cameras at one rate",
     "no_image": "its images belong to other moments; see what paired the frames",
@@ -107,7 +107,7 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
     reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
     return InsufficientDataError(
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
-        f"reason '{reason}'; the tracks are kept. See {page}; {_REMEDIES[reason].removesuffix('.')}."
+        f"reason '{reason}'; the tracks are kept. See {page}; {REMEDIES[reason]}."
     )
 
 

@@ -34,6 +34,7 @@ class ImageFolder(FrameSource):
         files = sorted(filter(_is_frame, path.iterdir()), key=_natural_key)
         if not files:
             raise FileFormatError(_without_images(path))
+        _refuse_copies(files)
         names = read_names([file.stem for file in files], path)
         self.files = [files[place] for place in names.order]
         self.columns = names.columns
@@ -90,6 +91,17 @@ class ImageFolder(FrameSource):
             return _decode(self.files[index])
         except FileFormatError:
             return None
+
+
+def _refuse_copies(files: list[Path]) -> None:
+    """A frame that was stored in two formats would count as two."""
+    first: dict[str, Path] = {}
+    for file in files:
+        other = first.setdefault(file.stem, file)
+        if other is not file:
+            raise FileFormatError(
+                f"'{other}' and '{file.name}' are one frame in two formats; keep the images of one format there."
+            )
 
 
 def _without_images(path: Path) -> str:
