@@ -11,7 +11,7 @@ from jaxpoint.errors import FileFormatError, InsufficientDataError
 
 
 def find(folder, **settings):
-    return find_lights(LedSettings(**settings), folder, lambda done, total: None)
+    return find_lights(LedSettings(**settings), (folder, None), lambda done, total: None)
 
 
 @pytest.fixture(scope="module", params=["robust", "thesis"])

@@ -1,23 +1,13 @@
+import struct
+from fractions import Fraction
+
 import cv2
 import numpy as np
 import pytest
+from videos import picture, value_of, write_stamped
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.video import open_frames
-
-
-def picture(value, size=(48, 32)):
-    """A picture that tells its number: a bright square whose place depends on it."""
-    image = np.full((size[1], size[0], 3), 20, dtype=np.uint8)
-    x, y = value % 10 * 4, value // 10 * 4
-    image[y : y + 4, x : x + 4] = 250
-    return image
-
-
-def value_of(image):
-    """The number of a picture."""
-    rows, columns = np.nonzero(image[..., 1] > 150)
-    return round(columns.mean() - 1.5) // 4 + 10 * (round(rows.mean() - 1.5) // 4)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +53,7 @@ def test_folders_come_in_natural_order_with_the_numbers_of_their_names(tmp_path)
         source.read(-1)
 
 
-@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "bmp", "PNG"])
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif", "bmp", "PNG", "ppm"])
 def test_all_kinds_of_images(tmp_path, suffix):
     cv2.imwrite(str(tmp_path / f"0.{suffix}"), picture(7))
     assert value_of(open_frames(tmp_path).read(0)) == 7
@@ -80,8 +70,19 @@ def test_names_without_rising_numbers_count_by_position(tmp_path):
 def test_an_empty_folder_and_a_missing_path(tmp_path):
     with pytest.raises(FileFormatError, match="holds no images"):
         open_frames(tmp_path)
+    (tmp_path / "cameras" / "cam_0").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "cameras" / "cam_0" / "0.png"), picture(0))
+    with pytest.raises(FileFormatError, match="the folder of images 'cam_0', but no images; give these"):
+        open_frames(tmp_path / "cameras")
     with pytest.raises(FileFormatError, match="no video or folder"):
         open_frames(tmp_path / "nothing.mp4")
+
+
+def test_a_frame_in_two_formats_is_not_two(tmp_path):
+    for name in ("0.png", "1.png", "1.jpg"):
+        cv2.imwrite(str(tmp_path / name), picture(0))
+    with pytest.raises(FileFormatError, match=r"1\.jpg' and '1\.png' are one frame in two formats"):
+        open_frames(tmp_path)
 
 
 def test_a_single_image_is_not_a_recording(tmp_path):
@@ -135,3 +136,55 @@ def test_what_cannot_be_decoded_is_left_out_where_that_is_asked_for(tmp_path, vi
     assert [index for index, _ in open_frames(tmp_path).readable(np.arange(4), lost)] == [0, 2, 3]
     assert "1.png' (0 bytes) cannot be decoded" in str(lost[0])
     assert [index for index, _ in open_frames(video).readable(np.arange(2))] == [0, 1]
+
+
+def test_dropped_frames_leave_gaps_in_the_time_stamps(tmp_path):
+    kept = np.delete(np.arange(60), [10, 11, 40])
+    for suffix in ("mp4", "mkv"):
+        source = open_frames(write_stamped(tmp_path / f"a.{suffix}", [picture(k) for k in kept], kept / 30))
+        assert len(source) == 57
+        np.testing.assert_allclose(source.times, kept / 30, atol=1e-3)
+        assert [value_of(image) for _, image in source.stream(np.array([9, 10, 56]))] == [9, 12, 59]
+        # A seek by number ends elsewhere where the rate varies.
+        assert [value_of(source.read(index)) for index in (0, 10, 38, 56)] == kept[[0, 10, 38, 56]].tolist()
+
+
+def test_an_empty_chunk_of_an_avi_is_a_gap(tmp_path):
+    """Capture programs write these for frames that did not arrive."""
+    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (48, 32))
+    for frame in range(30):
+        writer.write(picture(frame))
+    writer.release()
+    content = (tmp_path / "a.avi").read_bytes()
+    start = place = content.find(b"movi") + 4
+    chunks = []
+    while content[place : place + 4] == b"00dc":
+        length = 8 + struct.unpack("<I", content[place + 4 : place + 8])[0]
+        chunks.append(content[place : place + length + length % 2])
+        place += length + length % 2
+    chunks[10] = chunks[11] = b"00dc" + struct.pack("<I", 0)
+    body = b"movi" + b"".join(chunks)
+    (tmp_path / "b.avi").write_bytes(content[: start - 8] + struct.pack("<I", len(body)) + body)
+    source = open_frames(tmp_path / "b.avi")
+    np.testing.assert_allclose(source.times, np.delete(np.arange(30), [10, 11]) / 20)
+    assert [value_of(image) for _, image in source.stream()] == np.delete(np.arange(30), [10, 11]).tolist()
+
+
+def test_a_video_may_state_the_aspect_of_its_pixels(tmp_path, video):
+    images, times = [picture(k) for k in range(4)], np.arange(4) / 30
+    stated = write_stamped(tmp_path / "pal.mp4", images, times, Fraction(16, 15))
+    assert open_frames(stated).pixel_aspect == pytest.approx(16 / 15)
+    avi = tmp_path / "silent.avi"
+    writer = cv2.VideoWriter(str(avi), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (48, 32))
+    for image in images:
+        writer.write(image)
+    writer.release()
+    assert open_frames(avi).pixel_aspect is None
+
+
+def test_a_video_whose_stamps_start_late_is_not_cut_off(tmp_path):
+    """Matroska counts its frames by the length, the time before the first one among it."""
+    source = open_frames(write_stamped(tmp_path / "a.mkv", [picture(k) for k in range(30)], 0.5 + np.arange(30) / 30))
+    assert len(list(source.stream())) == len(source) == 30
+    assert source.start == pytest.approx(0.5, abs=0.02)
+    np.testing.assert_allclose(source.times, np.arange(30) / 30, atol=1e-3)

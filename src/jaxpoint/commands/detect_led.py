@@ -28,7 +28,8 @@ class DetectLed(SeededOptions):
 
     jaxpoint detect led cam1/ cam2/ cam3.mp4 --out tracks.npz
 
-    Give one folder of images or one video a camera, all of the same moments.
+    Give one folder of images or one video a camera, all of the same moments. Images are paired by the number or time in
+    their names that rises from file to file, videos by their time stamps; what paired them is printed.
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -73,10 +74,34 @@ class DetectLed(SeededOptions):
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
         return Outcome(
             figures,
-            (*lines, f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
+            (*lines, *_told(detection), f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
             _failure(figures, page),
             tuple(missing),
         )
+
+
+def _told(detection: LedDetection) -> tuple[str, ...]:
+    """What paired the frames, and where the cameras were not looked at."""
+    masked = [name for name, mask in zip(detection.tracks.names, detection.masks) if mask is not None]
+    without = [name for name in detection.tracks.names if name not in masked]
+    folders = sorted({str(mask.parent) for mask in detection.masks if mask is not None})
+    masks = f"Masks of {', '.join(masked)} from {', '.join(folders)}" if masked else ""
+    paired = (f"Frames are paired by {detection.pairing.by}.",) if len(detection.tracks.names) > 1 else ()
+    hidden = (masks + (f"; none of {', '.join(without)}." if without else "."),) if masked else ()
+    return (*paired, *detection.pairing.notes, *hidden)
+
+
+REMEDIES = {
+    "dark": "switch the light on in its view, expose longer, or try another --channel",
+    "too_large": "dim the room, expose shorter, or raise --led-radius-px",
+    "weak": "take a brighter light or a darker room, try another --channel, or lower --min-deviations",
+    "several": "leave one light on, and hide reflections and windows by --masks",
+    "blurred": "wave it slower, expose shorter, or raise --max-eccentricity",
+    "unlike": "raise --led-radius-px if the light is larger, and hide reflections and other moving lights by --masks",
+    "at_border": "wave it further inside the image, and draw masks larger than the reflections that they hide",
+    "between": "its frames are too few for the clock of the others; record all cameras at one rate",
+    "no_image": "its images belong to other moments; see what paired the frames",
+}
 
 
 def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | None:
@@ -87,7 +112,7 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
     reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
     return InsufficientDataError(
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
-        f"reason '{reason}'; the tracks are kept. See {page}; try another --led-radius-px or --channel."
+        f"reason '{reason}'; the tracks are kept. See {page}; {REMEDIES[reason]}."
     )
 
 
@@ -95,10 +120,13 @@ def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:
     """One row of crops, with its caption, for each camera and reason."""
     import numpy as np
 
-    from jaxpoint.detect.contact import contact_sheet
+    from jaxpoint.detect.contact import contact_sheet, mask_overview
 
     strips = []
     for camera, name in enumerate(detection.tracks.names):
+        overview = mask_overview(detection, camera)
+        if overview is not None:
+            strips.append((f"{name}: no light is looked for under the stripes ({detection.masks[camera]})", overview))
         counts = detection.counts(camera)
         for reason, group in groupby(contact_sheet(detection, camera), key=lambda crop: crop.reason):
             crops = list(group)
@@ -118,11 +146,14 @@ def _write(out: Path, detection: LedDetection) -> dict[str, Any]:
     figures = {
         "tracks": str(out),
         "frames": detection.tracks.frames,
+        "paired_by": detection.pairing.by,
+        "notes": list(detection.pairing.notes),
         "seconds": detection.seconds,
         "cameras": [
             {
                 "name": name,
                 "source": str(source),
+                "mask": None if mask is None else str(mask),
                 **asdict(stats),
                 "rejected": {
                     reason.name.lower(): count
@@ -130,8 +161,8 @@ def _write(out: Path, detection: LedDetection) -> dict[str, Any]:
                     if reason != Reason.FOUND
                 },
             }
-            for camera, (name, source, stats) in enumerate(
-                zip(detection.tracks.names, detection.sources, detection.cameras)
+            for camera, (name, source, mask, stats) in enumerate(
+                zip(detection.tracks.names, detection.sources, detection.masks, detection.cameras)
             )
         ],
         "versions": versions(),

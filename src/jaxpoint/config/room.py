@@ -38,6 +38,12 @@ class LedSettings:
     """Robust only: a spot fainter than this fraction of the camera's median light is taken for a reflection."""
     min_frames: Count = 100
     """Fewest frames from which a background is learnt."""
+    masks: Path | None = None
+    """Folder of one image a camera (cam_0.png), black where no light is looked for, such as on reflections and windows,
+    white elsewhere; by default the folder `masks` beside the recordings, where there is one."""
+    pair_by: Literal["auto", "number", "time", "place"] = "auto"
+    """What says which images belong together: a `number` or the `time` in their names, the `time` stamps of videos, or
+    the `place` in each recording; `auto` takes what the input holds, and refuses where it contradicts itself."""
     unequal_lengths: bool = False
     """Take videos of different lengths, each counting its own frames, for `calibrate --timestamps`."""
     workers: Count = 0

@@ -29,7 +29,8 @@ class Reason(IntEnum):
     SEVERAL = 5  # (c) more than one bright place
     BLURRED = 6  # (d) elongated: the light moved during the exposure
     UNLIKE = 7  # not the round spot that the light of this recording makes
-    AT_BORDER = 8  # brightest in the outermost pixels of the image: part of it is outside
+    AT_BORDER = 8  # brightest in the outermost pixels of the image or beside a mask: part of it is outside
+    BETWEEN = 9  # of a camera of another rate: not seen both before and after the time of the row
 
 
 @dataclass(frozen=True)

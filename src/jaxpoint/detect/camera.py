@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -14,6 +14,7 @@ from jaxtyping import Float, Int, UInt8
 from jaxpoint.config import LedSettings
 from jaxpoint.detect.background import Background, mean_background, median_background
 from jaxpoint.detect.blob import Blob, Reason, find_blob
+from jaxpoint.detect.mask import Mask, read_mask
 from jaxpoint.detect.position import Positions, Spots, cut_patch, fit_positions, half_window, match_positions
 from jaxpoint.detect.workers import Advance
 from jaxpoint.errors import InsufficientDataError
@@ -44,9 +45,6 @@ class CameraStats:
 class CameraLights:
     """The light in the F frames of one camera."""
 
-    frame_ids: Int[np.ndarray, " F"]
-    numbered: bool  # whether the frame numbers come from file names
-    times: Float[np.ndarray, " F"] | None  # s
     size: tuple[int, int]  # px, width and height
     pixels: Float[np.ndarray, "F 2"]  # px, (0, 0) where not found
     covariance: Float[np.ndarray, "F 2 2"]  # px^2, zeros where not found
@@ -55,27 +53,34 @@ class CameraLights:
     stats: CameraStats
 
 
-def find_lights(settings: LedSettings, path: Path, advance: Advance) -> CameraLights:
+def find_lights(settings: LedSettings, camera: tuple[Path, Path | None], advance: Advance) -> CameraLights:
     """Find the light in every frame of one camera.
 
+    Args:
+        settings: the method and its thresholds.
+        camera: its recording, and the image of where to look, if any.
+        advance: called with the frames done and to do.
+
     Raises:
-        FileFormatError: the frames cannot be read.
+        FileFormatError: the frames or the mask cannot be read.
         InsufficientDataError: fewer frames than `settings.min_frames`.
     """
+    path, mask_file = camera
     started = time.perf_counter()
     source = open_frames(path)
     if len(source) < settings.min_frames:
         raise InsufficientDataError(
-            f"'{path}' has {len(source)} frames, but a background is learnt from at least {settings.min_frames}; "
-            "record longer, or lower led.min_frames."
+            f"'{path}' has {len(source)} frame{'s' * (len(source) != 1)}, but a background is learnt from at least "
+            f"{settings.min_frames}; record longer, or lower --min-frames."
         )
-    channel = _strongest_channel(source) if settings.channel == "auto" else settings.channel
+    mask = None if mask_file is None else read_mask(mask_file, source.size)
+    channel = _strongest_channel(source, mask) if settings.channel == "auto" else settings.channel
     samples = _background_frames(source, settings)
     total = len(samples) + len(source)
     learnt = (_take(image, channel) for _, image in _counted(source, samples, lambda done: advance(done, total)))
     background = mean_background(learnt) if settings.method == "thesis" else median_background(np.stack(list(learnt)))
     watched = _counted(source, None, lambda done: advance(len(samples) + done, total))
-    reasons, brightest, spots = _find_spots(watched, len(source), channel, background, settings)
+    reasons, brightest, spots = _find_spots(watched, len(source), channel, background, mask, settings)
     measure = match_positions if settings.method == "thesis" else fit_positions
     positions = measure(spots, settings)
     candidates = reasons == Reason.FOUND
@@ -85,9 +90,7 @@ def find_lights(settings: LedSettings, path: Path, advance: Advance) -> CameraLi
     pixels[reasons == Reason.FOUND] = positions.pixels[found]
     covariance[reasons == Reason.FOUND] = positions.covariance[found]
     stats = _summarise(positions, background, channel, len(source), time.perf_counter() - started)
-    return CameraLights(
-        source.frame_ids, source.numbered, source.times, source.size, pixels, covariance, reasons, brightest, stats
-    )
+    return CameraLights(source.size, pixels, covariance, reasons, brightest, stats)
 
 
 def _find_spots(
@@ -95,6 +98,7 @@ def _find_spots(
     count: int,
     channel: str,
     background: Background,
+    mask: Mask | None,
     settings: LedSettings,
 ) -> tuple[Int[np.ndarray, " F"], Int[np.ndarray, "F 2"], Spots]:
     """Reasons and brightest places of all frames, and what surrounds the candidates (reason FOUND so far)."""
@@ -104,11 +108,16 @@ def _find_spots(
     patches, usable, noise = [], [], []
     for index, image in frames:
         grey = _take(image, channel)
-        blob: Blob = find_blob(np.maximum(grey - background.level, 0), background.deviation, settings)
+        difference = np.maximum(grey - background.level, 0)
+        if mask is not None:
+            difference[~mask] = 0
+        blob: Blob = find_blob(difference, background.deviation, settings)
+        if mask is not None and blob.reason == Reason.FOUND and _at_edge(mask, blob):
+            blob = replace(blob, reason=Reason.AT_BORDER)
         reasons[index] = blob.reason
         brightest[index] = blob.x, blob.y
         if blob.reason == Reason.FOUND:
-            patch, good = cut_patch(grey, background.level, blob, half)
+            patch, good = cut_patch(grey, background.level, blob, half, mask)
             patches.append(patch)
             usable.append(good)
             noise.append(background.deviation[blob.y, blob.x])
@@ -120,6 +129,12 @@ def _find_spots(
         noise=np.array(noise, dtype=np.float64),
     )
     return reasons, brightest, spots
+
+
+def _at_edge(mask: Mask, blob: Blob) -> bool:
+    """Whether a masked pixel touches the brightest one: the light, or a masked reflection's glow, is cut there."""
+    around = np.s_[max(blob.y - 1, 0) : blob.y + 2, max(blob.x - 1, 0) : blob.x + 2]
+    return not mask[around].all()
 
 
 def _summarise(positions: Positions, background: Background, channel: str, frames: int, seconds: float) -> CameraStats:
@@ -156,14 +171,16 @@ def _take(image: UInt8[np.ndarray, "H W 3"], channel: str) -> UInt8[np.ndarray, 
     return np.asarray(cv2.extractChannel(image, CHANNELS[channel]))
 
 
-def _strongest_channel(source: FrameSource) -> str:
-    """The colour that rises most above its median at the brightest places of a few frames."""
+def _strongest_channel(source: FrameSource, mask: Mask | None) -> str:
+    """The colour that rises most above its median at the brightest places of a few frames, where they are looked at."""
     images = np.stack([source.read(int(index)) for index in _spread(len(source), CHANNEL_FRAMES)])
     middle = (len(images) - 1) // 2
     level = np.partition(images, middle, axis=0)[middle]
     rise = np.zeros(3)
     for image in images:
         difference = np.asarray(cv2.subtract(image, level))
+        if mask is not None:
+            difference[~mask] = 0
         y, x = np.unravel_index(int(difference.max(axis=2).argmax()), difference.shape[:2])
         rise += difference[y, x]
     return max(CHANNELS, key=lambda name: rise[CHANNELS[name]])

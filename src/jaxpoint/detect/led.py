@@ -14,14 +14,19 @@ from jaxtyping import Float, Int
 from jaxpoint.config import LedSettings
 from jaxpoint.detect.blob import Reason
 from jaxpoint.detect.camera import CameraLights, CameraStats, find_lights
+from jaxpoint.detect.mask import FOLDER as MASK_FOLDER
+from jaxpoint.detect.mask import mask_files, read_mask
+from jaxpoint.detect.retime import retime
 from jaxpoint.detect.workers import run_cameras
-from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.errors import UsageError
+from jaxpoint.io.frames import FrameSource
+from jaxpoint.io.pairing import Pairing, pair_by_ids, pair_frames
+from jaxpoint.io.video import open_frames
 from jaxpoint.tracks import Tracks
 
 __all__ = ["CameraStats", "DetectionInterrupted", "LedDetection", "Reason", "detect_led"]
 
-COUNT_TOLERANCE = 0.01  # of the frames; recorders drop a frame or two at the end
-TIME_TOLERANCE = 1e-3  # s
+OWN_NUMBERS = "the numbers that each recording counts for itself (--unequal-lengths)"
 
 Progress = Callable[[str, int, int], None]
 """Called with a camera's name, the frames done and the frames to do (learning the background counts too)."""
@@ -37,6 +42,8 @@ class LedDetection:
     brightest: Int[np.ndarray, "F C 2"]  # px, brightest place of each image, whether or not it is the light
     cameras: tuple[CameraStats, ...]
     sources: tuple[Path, ...]
+    masks: tuple[Path | None, ...]  # image of where a camera was looked at; None where all over
+    pairing: Pairing  # which frame of each camera is in which row
     seconds: float
 
     def counts(self, camera: int) -> dict[Reason, int]:
@@ -66,15 +73,15 @@ def detect_led(
 
     Args:
         sources: a video or a folder of images for each camera, all of the same moments. Frames belong together by
-            their number: the last number in an image's name, the position in a video.
+            the number or time in the images' names that rises from file to file, or by the videos' time stamps.
         settings: the method and its thresholds; the defaults suit a bright light in a dimmed room.
         progress: called in this process with (camera, done, total).
         names: of the cameras; by default the names of folders and files, as much of the path as tells them apart.
 
     Raises:
-        UsageError: no sources, one given twice, or names that do not fit.
-        FileFormatError: frames that cannot be read.
-        InsufficientDataError: too few frames, or cameras whose frame numbers do not belong together.
+        UsageError: no sources, one given twice, names that do not fit, or masks of no camera.
+        FileFormatError: frames or masks that cannot be read.
+        InsufficientDataError: too few frames, or cameras whose frames cannot be paired.
         DetectionInterrupted: Ctrl-C after at least one camera was complete (a KeyboardInterrupt; it is also the plain
             one when none was).
     """
@@ -83,6 +90,13 @@ def detect_led(
     paths = [Path(source) for source in sources]
     names = tuple(names) or camera_names(paths)
     _check_sources(paths, names)
+    sources_ = [open_frames(path) for path in paths]
+    pairing = _pair(sources_, names, settings)
+    masks = mask_files(settings.masks, paths, names)
+    for mask, source in zip(masks, sources_):
+        if mask is not None:
+            read_mask(mask, source.size)  # a wrong one is refused before the work
+    whole = _Recording(tuple(paths), names, tuple(sources_), masks, pairing)
     finished: dict[int, CameraLights] = {}
 
     def report(camera: int, done: int, total: int) -> None:
@@ -90,15 +104,41 @@ def detect_led(
             progress(names[camera], done, total)
 
     try:
-        run_cameras(partial(find_lights, settings), paths, settings.workers, finished, report)
+        run_cameras(partial(find_lights, settings), list(zip(paths, masks)), settings.workers, finished, report)
     except KeyboardInterrupt:
         if not finished:
             raise
         kept = sorted(finished)
-        lights = [finished[i] for i in kept]
-        found = _assemble([paths[i] for i in kept], [names[i] for i in kept], lights, settings, started)
+        found = _assemble(whole.select(kept), [finished[i] for i in kept], started)
         raise DetectionInterrupted(found, len(paths)) from None
-    return _assemble(paths, names, [finished[i] for i in range(len(paths))], settings, started)
+    return _assemble(whole, [finished[i] for i in range(len(paths))], started)
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """What is known of C cameras before anybody looks for the light."""
+
+    paths: tuple[Path, ...]
+    names: tuple[str, ...]
+    sources: tuple[FrameSource, ...]
+    masks: tuple[Path | None, ...]
+    pairing: Pairing
+
+    def select(self, cameras: Sequence[int]) -> _Recording:
+        """Some of the cameras."""
+        return _Recording(
+            tuple(self.paths[i] for i in cameras),
+            tuple(self.names[i] for i in cameras),
+            tuple(self.sources[i] for i in cameras),
+            tuple(self.masks[i] for i in cameras),
+            self.pairing.select(cameras),
+        )
+
+
+def _pair(sources: Sequence[FrameSource], names: Sequence[str], settings: LedSettings) -> Pairing:
+    if settings.unequal_lengths:
+        return pair_by_ids(sources, OWN_NUMBERS)
+    return pair_frames(sources, names, settings.pair_by)
 
 
 def camera_names(paths: Sequence[Path]) -> tuple[str, ...]:
@@ -118,69 +158,64 @@ def _check_sources(paths: Sequence[Path], names: Sequence[str]) -> None:
     for i, path in enumerate(resolved):
         if path in resolved[:i]:
             raise UsageError(f"'{paths[i]}' is given twice; name one folder or video a camera.")
+        if path.name == MASK_FOLDER and path.is_dir() and len(paths) > 1:
+            raise UsageError(
+                f"'{paths[i]}' holds masks, not frames of a camera; leave it out; masks beside the cameras are found."
+            )
     if len(names) != len(paths) or len(set(names)) != len(names):
         raise UsageError(f"{len(paths)} cameras need {len(paths)} different names, not {list(names)}.")
 
 
-def _assemble(
-    paths: Sequence[Path],
-    names: Sequence[str],
-    lights: Sequence[CameraLights],
-    settings: LedSettings,
-    started: float,
-) -> LedDetection:
-    """One row for every frame number that any camera has."""
-    _check_counts(names, lights, settings.unequal_lengths)
-    frame_ids = np.unique(np.concatenate([light.frame_ids for light in lights]))
-    shape = (len(frame_ids), len(lights))
+def _assemble(recording: _Recording, lights: Sequence[CameraLights], started: float) -> LedDetection:
+    """One row for every moment of which any camera has a frame."""
+    pairing = recording.pairing
+    shape = pairing.index.shape
     pixels, covariance = np.zeros((*shape, 2)), np.zeros((*shape, 2, 2))
     reasons = np.full(shape, Reason.NO_IMAGE, dtype=np.int8)
     brightest = np.zeros((*shape, 2), dtype=np.int32)
     for camera, light in enumerate(lights):
-        rows = np.searchsorted(frame_ids, light.frame_ids)
-        pixels[rows, camera], covariance[rows, camera] = light.pixels, light.covariance
-        reasons[rows, camera], brightest[rows, camera] = light.reasons, light.brightest
+        rows = np.flatnonzero(pairing.index[:, camera] >= 0)
+        frames = pairing.index[rows, camera]
+        pixels[rows, camera], covariance[rows, camera] = light.pixels[frames], light.covariance[frames]
+        reasons[rows, camera], brightest[rows, camera] = light.reasons[frames], light.brightest[frames]
+        _retime(pairing, camera, light, pixels, covariance, reasons)
     tracks = Tracks.from_pixels(
         pixels,
         image_sizes=np.array([light.size for light in lights]),
         visible=reasons == Reason.FOUND,
-        frame_ids=frame_ids,
-        times=_common_times(frame_ids, lights),
-        names=names,
+        frame_ids=pairing.frame_ids,
+        times=pairing.times,
+        names=recording.names,
+        pixel_aspects=_pixel_aspects(recording.sources),
     )
     stats = tuple(light.stats for light in lights)
-    return LedDetection(tracks, reasons, covariance, brightest, stats, tuple(paths), time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return LedDetection(
+        tracks, reasons, covariance, brightest, stats, recording.paths, recording.masks, pairing, seconds
+    )
 
 
-def _check_counts(names: Sequence[str], lights: Sequence[CameraLights], any_length: bool) -> None:
-    """Videos are matched by position, which needs equal lengths; image numbers must overlap."""
-    first = lights[0]
-    for name, light in zip(names, lights):
-        shared = len(np.intersect1d(first.frame_ids, light.frame_ids))
-        if not shared:
-            raise InsufficientDataError(
-                f"Cameras '{names[0]}' and '{name}' have no frame number in common ({first.frame_ids[0]} to "
-                f"{first.frame_ids[-1]}, and {light.frame_ids[0]} to {light.frame_ids[-1]}); number the images of all "
-                "cameras alike."
-            )
-        counts = len(first.frame_ids), len(light.frame_ids)
-        matched = any_length or (first.numbered and light.numbered)
-        if not matched and abs(counts[0] - counts[1]) > COUNT_TOLERANCE * max(counts):
-            raise InsufficientDataError(
-                f"Cameras '{names[0]}' and '{name}' have {counts[0]} and {counts[1]} frames, so it is not known which "
-                "belong together; cut them to the same moments, give folders of images numbered alike, or, with a "
-                "timestamps.csv for `calibrate`, let them through by --unequal-lengths."
-            )
+def _retime(
+    pairing: Pairing,
+    camera: int,
+    light: CameraLights,
+    pixels: Float[np.ndarray, "F C 2"],
+    covariance: Float[np.ndarray, "F C 2 2"],
+    reasons: Int[np.ndarray, "F C"],
+) -> None:
+    """Bring the lights of a camera of another rate to the times of the rows, in place."""
+    if not pairing.places or pairing.other_rate is None or not pairing.other_rate[camera]:
+        return
+    found = light.reasons == Reason.FOUND
+    moved = retime(pairing.frame_ids, pairing.places[camera], light.pixels, light.covariance, found)
+    lost = (reasons[:, camera] == Reason.FOUND) & ~moved.known
+    pixels[:, camera], covariance[:, camera] = moved.pixels, moved.covariance
+    reasons[moved.known, camera], reasons[lost, camera] = Reason.FOUND, Reason.BETWEEN
 
 
-def _common_times(frame_ids: Int[np.ndarray, " F"], lights: Sequence[CameraLights]) -> Float[np.ndarray, " F"] | None:
-    """Times of the frames where all cameras know them and agree."""
-    times = np.full(len(frame_ids), np.nan)
-    for light in lights:
-        if light.times is None:
-            return None
-        rows = np.searchsorted(frame_ids, light.frame_ids)
-        if (np.abs(times[rows] - light.times) > TIME_TOLERANCE).any():
-            return None
-        times[rows] = light.times
-    return times
+def _pixel_aspects(sources: Sequence[FrameSource]) -> Float[np.ndarray, " C"] | None:
+    """Width over height of each camera's pixels, 1 where only other videos state one; None where none does."""
+    stated = [source.pixel_aspect for source in sources]
+    if all(aspect is None for aspect in stated):
+        return None
+    return np.array([1.0 if aspect is None else aspect for aspect in stated])

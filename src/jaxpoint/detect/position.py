@@ -45,9 +45,13 @@ def half_window(settings: LedSettings) -> int:
 
 
 def cut_patch(
-    image: UInt8[np.ndarray, "H W"], level: Float32[np.ndarray, "H W"], blob: Blob, half: int
+    image: UInt8[np.ndarray, "H W"],
+    level: Float32[np.ndarray, "H W"],
+    blob: Blob,
+    half: int,
+    mask: Bool[np.ndarray, "H W"] | None = None,
 ) -> tuple[Float32[np.ndarray, "S S"], Bool[np.ndarray, "S S"]]:
-    """Grey levels minus background around a blob, and which of them are usable."""
+    """Grey levels minus background around a blob, and which of them are usable; masked pixels are not."""
     patch = np.zeros((2 * half + 1, 2 * half + 1), dtype=np.float32)
     usable = np.zeros(patch.shape, dtype=bool)
     top, left = max(blob.y - half, 0), max(blob.x - half, 0)
@@ -56,6 +60,9 @@ def cut_patch(
     target = np.s_[top - blob.y + half :, left - blob.x + half :]
     patch[target][:rows, :columns] = image[source] - level[source]
     usable[target][:rows, :columns] = image[source] < SATURATED
+    if mask is not None:
+        usable[target][:rows, :columns] &= mask[source]
+        patch[target][:rows, :columns][~mask[source]] = 0
     return patch, usable
 
 

@@ -3,10 +3,10 @@
 session/
   videos/cam_0.mp4 ...   or a folder of images each; the name is the camera's
   timestamps.csv         which frame of which camera belongs to which moment (`jaxpoint.io.timestamps`); without it
-                         frames belong together by number, or by time where the videos' rates differ
+                         frames belong together by the time stamps of videos, or by the names of images
   calibration.json       the cameras; optional where only images are looked at
   empty/cam_0.mp4 ...    the empty room, for background and motion threshold; optional
-  wave/cam_0.mp4 ...     a light waved in the dark, for `detect led`; optional
+  wave/cam_0.mp4 ...     a light waved in the dark, for `detect led`; optional; `wave/masks/cam_0.png` where not to look
   objects.csv            what can be pointed at; optional
   truth/                 only where simulated
 """
@@ -24,11 +24,14 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import natural_key
+from jaxpoint.io.frames import FrameSource
+from jaxpoint.io.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
+from jaxpoint.io.pairing import pair_frames
 from jaxpoint.io.timestamps import Timestamps, read_timestamps
-from jaxpoint.io.video import IMAGE_SUFFIXES, FrameSource, open_frames
+from jaxpoint.io.video import open_frames
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".avi", ".mov", ".mkv", ".m4v", ".webm", ".mjpeg", ".mjpg"})
-RATE_TOLERANCE = 0.01  # relative difference of frame rates that still counts as one rate
+MASKS = "masks"  # folder of one image a camera, which is no camera itself
+REMEDY = "say which belong together in a timestamps.csv, or number the images of all cameras alike"
 logger = logging.getLogger(__name__)
 
 
@@ -113,6 +116,8 @@ def recordings(folder: Path) -> dict[str, Path]:
         return {}
     found: dict[str, Path] = {}
     for path in sorted(folder.iterdir()):
+        if path.name.lower() == MASKS:
+            continue
         images = path.is_dir() and any(file.suffix.lower() in IMAGE_SUFFIXES for file in path.iterdir())
         if not images and path.suffix.lower() not in VIDEO_SUFFIXES:
             continue
@@ -180,40 +185,13 @@ def _drifts(stamps: Timestamps, names: tuple[str, ...]) -> list[str]:
 
 
 def _matched(sources: list[FrameSource], names: tuple[str, ...]):
-    """Frames that belong together by their number, or by their time where the rates differ."""
-    notes = []
-    counts = [len(source) for source in sources]
-    periods = [_period(source) for source in sources]
-    known = [period for period in periods if period]
-    unlike = len(known) == len(sources) and max(known) > (1 + RATE_TOLERANCE) * min(known)
-    if unlike:
-        slowest = int(np.argmax(periods))
-        rates = ", ".join(f"{name} {1 / period:.4g}" for name, period in zip(names, known))
-        notes.append(
-            f"The videos have unlike frame rates ({rates} a second); moments are those of '{names[slowest]}', by time."
-        )
-        times = np.arange(counts[slowest]) * known[slowest]
-        index = np.stack([np.round(times / period).astype(int) for period in known], axis=1)
-        index[index >= np.array(counts)] = -1
-        return np.arange(len(times)), times, index, notes
-    ids = np.unique(np.concatenate([source.frame_ids for source in sources]))
-    index = np.full((len(ids), len(sources)), -1)
-    for camera, source in enumerate(sources):
-        index[np.searchsorted(ids, source.frame_ids), camera] = np.arange(len(source))
-    if min(counts) < max(counts):
-        short = int(np.argmin(counts))
-        notes.append(
-            f"The videos have unlike lengths: '{names[short]}' has {counts[short]} frames, others up to {max(counts)}; "
-            "frames belong together by number, so check that all started at once."
-        )
-    if not known:
-        notes.append("No video tells its frame rate, so moments count as 1 s apart; give the times in timestamps.csv.")
-    period = known[0] if known else 1.0
-    return ids, (ids - ids[0]) * period, index, notes
-
-
-def _period(source: FrameSource) -> float:
-    """Seconds from frame to frame; 0 where the source does not know."""
-    if source.times is None or len(source.times) < 2:
-        return 0.0
-    return float(source.times[1] - source.times[0])
+    """Frames that belong together by what names or time stamps say."""
+    pairing = pair_frames(sources, names, remedy=REMEDY, any_length=True)
+    notes = [note for note in pairing.notes if len(sources) > 1]
+    if len(sources) > 1 and any(source.columns for source in sources):
+        notes.append(f"Images are paired by {pairing.by}.")
+    times = pairing.times
+    if times is None:
+        notes.append("No time of a frame is known, so moments count as 1 s apart; give the times in timestamps.csv.")
+        times = (pairing.frame_ids - pairing.frame_ids[0]).astype(float)
+    return pairing.frame_ids, times, pairing.index, notes

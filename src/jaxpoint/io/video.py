@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import logging
-import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -13,120 +11,40 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from jaxpoint.errors import FileFormatError
+from jaxpoint.io.frames import FrameSource
+from jaxpoint.io.images import IMAGE_SUFFIXES, ImageFolder
+from jaxpoint.io.stamps import MS, SAME_STAMP, Stamps, pixel_aspect, read_stamps
 
-IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp"})
+__all__ = ["IMAGE_SUFFIXES", "FrameSource", "ImageFolder", "VideoFile", "open_frames"]
+
 logger = logging.getLogger(__name__)
 
 
-class FrameSource(ABC):
-    """Frames of one camera, 8-bit BGR as OpenCV orders colours. Open one with `open_frames`."""
-
-    path: Path
-    size: tuple[int, int]  # px, width and height
-    frame_ids: Int[np.ndarray, " F"]  # number of the frame in the recording, strictly rising
-    numbered: bool  # whether the frame numbers come from file names; else they are positions
-    times: Float[np.ndarray, " F"] | None  # s, where the source knows them
-
-    def __len__(self) -> int:
-        """Number of frames, F."""
-        return len(self.frame_ids)
-
-    @abstractmethod
-    def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
-        """The image at position `index` (0..F-1).
-
-        Raises:
-            IndexError: there is no such position.
-            FileFormatError: the image cannot be decoded or has another size than the first.
-        """
-
-    @abstractmethod
-    def stream(self, indices: Int[np.ndarray, " N"] | None = None) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
-        """Position and image, one after the other; with `indices` (rising) only those.
-
-        Raises:
-            FileFormatError: an image cannot be decoded, has another size, or the video ends early.
-        """
-
-    def readable(
-        self, indices: Int[np.ndarray, " N"], lost: list[FileFormatError] | None = None
-    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
-        """Like `stream`, but what cannot be decoded is left out, and what it says is added to `lost`."""
-        try:
-            yield from self.stream(indices)
-        except FileFormatError as error:
-            if lost is not None:
-                lost.append(error)
-
-
-class ImageFolder(FrameSource):
-    """A folder of images in natural order (`2.jpg` before `10.jpg`).
-
-    The frame number is the last number in each file's name where these numbers differ and rise, else the position.
-    Images of a folder carry no times.
-    """
-
-    def __init__(self, path: Path):
-        self.path = path
-        self.files = sorted(filter(_is_frame, path.iterdir()), key=_natural_key)
-        if not self.files:
-            raise FileFormatError(
-                f"The folder '{path}' holds no images; put the frames of one camera there as jpg, png, tif or bmp."
-            )
-        first = _decode(self.files[0])
-        self.size = (first.shape[1], first.shape[0])
-        numbers = _frame_numbers(self.files)
-        self.numbered = numbers is not None
-        self.frame_ids = np.arange(len(self.files)) if numbers is None else numbers
-        self.times = None
-
-    def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
-        if not 0 <= index < len(self.files):
-            raise IndexError(f"'{self.path}' has {len(self.files)} images, no position {index}.")
-        image = _decode(self.files[index])
-        size = (image.shape[1], image.shape[0])
-        if size != self.size:
-            raise FileFormatError(
-                f"'{self.files[index]}' is {size[0]} x {size[1]} px but '{self.files[0].name}' is "
-                f"{self.size[0]} x {self.size[1]}; keep one camera's images of one size in a folder."
-            )
-        return image
-
-    def stream(self, indices: Int[np.ndarray, " N"] | None = None) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
-        for index in range(len(self)) if indices is None else indices:
-            yield int(index), self.read(int(index))
-
-    def readable(
-        self, indices: Int[np.ndarray, " N"], lost: list[FileFormatError] | None = None
-    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
-        for index in indices:  # one bad file says nothing of those after it
-            yield from super().readable(np.array([index]), lost)
-
-
 class VideoFile(FrameSource):
-    """A video file, decoded by OpenCV. Frame numbers are positions; times are position / frame rate."""
+    """A video file, decoded by OpenCV. Frame numbers are positions; times are the stamps of the container."""
 
     def __init__(self, path: Path):
         self.path = path
         capture = self._open()
         try:
-            count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-            if count <= 0:  # raw streams have no count in the header
-                count = sum(1 for _ in iter(capture.grab, False))
-                capture.release()
-                capture = self._open()
+            counted = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
             decoded, image = capture.read()
             if not decoded:
                 raise FileFormatError(
                     f"0 frames of the video '{path}' could be decoded; it is empty or truncated. Copy it anew."
                 )
             rate = capture.get(cv2.CAP_PROP_FPS)
+            self.pixel_aspect = pixel_aspect(capture)
         finally:
             capture.release()
+        stamps = read_stamps(path)
         self.size = (image.shape[1], image.shape[0])
+        self._stamps = stamps.times
+        count = _frame_count(stamps, counted)
         self.frame_ids = np.arange(count)
         self.numbered = False
-        self.times = self.frame_ids / rate if rate > 0 else None
+        self.times = _times(stamps, count, rate)
+        self.start = stamps.first_place / rate if rate > 0 else 0.0
 
     def _open(self) -> cv2.VideoCapture:
         capture = cv2.VideoCapture(str(self.path))
@@ -140,36 +58,56 @@ class VideoFile(FrameSource):
     def read(self, index: int) -> UInt8[np.ndarray, "H W 3"]:
         if not 0 <= index < len(self):
             raise IndexError(f"'{self.path}' has {len(self)} frames, no position {index}.")
+        image = self._sought(index)
+        if image is None:
+            raise FileFormatError(f"Frame {index} of the video '{self.path}' cannot be decoded; copy the video anew.")
+        return image
+
+    def _sought(self, index: int) -> UInt8[np.ndarray, "H W 3"] | None:
+        """The frame that a seek finds, unless its stamp says that it is another one; then that of going through all."""
         capture = self._open()
         try:
             capture.set(cv2.CAP_PROP_POS_FRAMES, index)
             decoded, image = capture.read()
+            if decoded and self._place(capture, index) == index:
+                return np.asarray(image)
         finally:
             capture.release()
-        if not decoded:
-            raise FileFormatError(f"Frame {index} of the video '{self.path}' cannot be decoded; copy the video anew.")
-        return image
+        return next((image for place, image in self.stream(np.array([index])) if place == index), None)
+
+    def _place(self, capture: cv2.VideoCapture, counted: int) -> int:
+        """Position of the frame just decoded by its stamp, `counted` where no frame has this stamp.
+
+        A packet that cannot be decoded gives no frame, and a seek in a video of variable rate ends at another frame.
+        """
+        if self._stamps is None:
+            return counted
+        time = capture.get(cv2.CAP_PROP_POS_MSEC) * MS
+        first = int(np.searchsorted(self._stamps, time - SAME_STAMP))
+        found = first < len(self._stamps) and self._stamps[first] < time + SAME_STAMP
+        return first if found else counted
 
     def stream(self, indices: Int[np.ndarray, " N"] | None = None) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
         wanted = np.ones(len(self), dtype=bool) if indices is None else np.isin(np.arange(len(self)), indices)
-        capture = self._open()
+        capture, index, last = self._open(), -1, int(np.flatnonzero(wanted)[-1]) if wanted.any() else -1
         try:
-            for index in range(len(self)):
+            while index < last:
                 if not capture.grab():
-                    self._ended_after(index)
+                    self._ended_after(index + 1)
                     return
-                if wanted[index]:
+                index = max(index + 1, self._place(capture, index + 1))
+                if index <= last and wanted[index]:
                     decoded, image = capture.retrieve()
                     if not decoded:
                         self._ended_after(index)
                         return
-                    yield index, image
+                    yield index, np.asarray(image)
         finally:
             capture.release()
 
     def _ended_after(self, decoded: int) -> None:
         """Headers may count a frame or two too many; more than that is a truncated file."""
-        if len(self) - decoded > max(2, len(self) // 100):
+        if len(self) - decoded > _spare(len(self)):
             raise FileFormatError(
                 f"The video '{self.path}' ends early: {decoded} of {len(self)} frames were decoded. Copy it anew, or "
                 "cut it there and cut the other cameras' videos alike."
@@ -193,27 +131,24 @@ def open_frames(path: str | Path) -> FrameSource:
     return VideoFile(path)
 
 
-def _decode(file: Path) -> UInt8[np.ndarray, "H W 3"]:
-    data = np.frombuffer(file.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_COLOR) if data.size else None
-    if image is None:
-        raise FileFormatError(f"The image '{file}' ({data.size} bytes) cannot be decoded; copy it anew or remove it.")
-    return image
+def _spare(count: int) -> int:
+    return max(2, count // 100)
 
 
-def _natural_key(file: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"(\d+)", file.name.lower())
-    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+def _frame_count(stamps: Stamps, counted: int) -> int:
+    """The packets, unless the header promises more frames and their stamps end before: then the file was cut off.
+
+    Some headers hold the length alone, from which a count is guessed that dropped frames do not reach.
+    """
+    found = stamps.last_place + 1 if stamps.times is None else len(stamps.times)
+    cut_off = max(found, stamps.last_place + 1) < counted - _spare(counted)
+    return max(counted if cut_off else found, 1)
 
 
-def _frame_numbers(files: Sequence[Path]) -> Int[np.ndarray, " F"] | None:
-    """The last number in every name, None where one has none or they do not rise."""
-    found = [re.findall(r"\d+", file.stem) for file in files]
-    if not all(found):
-        return None
-    numbers = np.array([int(digits[-1][-18:]) for digits in found], dtype=np.int64)
-    return numbers if (np.diff(numbers) > 0).all() else None
-
-
-def _is_frame(file: Path) -> bool:
-    return file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".")
+def _times(stamps: Stamps, count: int, rate: float) -> Float[np.ndarray, " F"] | None:
+    """Stamps (s), continued evenly over frames that the header promises; by the rate alone where there are none."""
+    if stamps.times is None or len(stamps.times) < 2:
+        return np.arange(count) / rate if rate > 0 else None
+    period = float(np.median(np.diff(stamps.times)))
+    beyond = stamps.times[-1] + period * np.arange(1, count - len(stamps.times) + 1)
+    return np.concatenate([stamps.times, beyond])

@@ -20,6 +20,7 @@ from jaxpoint.detect.person import FrameReason, PersonWatch
 from jaxpoint.detect.silhouette import RoomBackground, learn_background, never_clears
 from jaxpoint.detect.workers import Advance, run_cameras
 from jaxpoint.errors import FileFormatError, InsufficientDataError
+from jaxpoint.io.images import share_white
 from jaxpoint.io.session import Session
 from jaxpoint.io.video import FrameSource, open_frames
 from jaxpoint.person.views import FORMAT, CameraViews, load_views, save_views, watch
@@ -157,6 +158,7 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
             f"The empty room of camera '{job.name}' ('{job.empty}') was recorded with {width} x {height} px and its "
             f"video with {own_width} x {own_height}; record both alike."
         )
+    share_white(source, empty)
     adaptive = settings.background.method != "static"
     images = _spread(empty, settings.background.max_frames)
     if job.empty is None and not adaptive and len(images) >= settings.background.min_frames:

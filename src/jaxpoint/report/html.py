@@ -30,7 +30,7 @@ from jaxpoint.report.sync import speed_lags
 from jaxpoint.report.verdict import judge_summary, judge_tracks
 from jaxpoint.tracks import Tracks
 
-Sheets = Sequence[tuple[str, UInt8[np.ndarray, "H W 3"]]]
+Sheets = Sequence[tuple[str, UInt8[np.ndarray, "_ _ 3"]]]
 
 _NO_ADVICE = Advice(
     "Nothing in the data asks for action.", "Calibrate again whenever a camera, its lens or its focus is touched."
