@@ -53,7 +53,8 @@ def _stretches(calibration: Calibration) -> Iterator[Finding]:
         share = np.bincount(part[kept], minlength=STRETCHES) / np.maximum(count, 1)
         told = count >= FEWEST
         dead = told & (share < DEAD)
-        if not dead.any() or np.median(share[told & ~dead], axis=0, keepdims=True).min(initial=0.0) < ALIVE:
+        alive = told & ~dead
+        if not dead.any() or not alive.any() or np.median(share[alive]) < ALIVE:
             continue
         rows = np.flatnonzero(np.isin(part, np.flatnonzero(dead)))
         ids = calibration.tracks.frame_ids

@@ -23,6 +23,9 @@ def with_covariance(calibration: Calibration, anchors: Anchors | None = None) ->
         found = uncertainty_of(calibration, anchors)
     except (InsufficientDataError, UsageError) as error:
         return replace(calibration, camera_covariance=None, gauge=None, undetermined=str(error))
+    except np.linalg.LinAlgError:  # a solved rig must not be lost to its covariance
+        reason = "The normal equations are singular: the observations do not determine the rig."
+        return replace(calibration, camera_covariance=None, gauge=None, undetermined=reason)
     return replace(calibration, camera_covariance=np.asarray(found.covariance), gauge=found.gauge, undetermined="")
 
 

@@ -44,8 +44,9 @@ def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeom
     limit = PLANE_ERROR_PX * float(data.widths.mean()) / 1280.0
     if worst < limit:
         raise InsufficientDataError(
-            f"The light moves on a plane: one homography maps it between any two cameras to {worst:.1f} px. "
-            "Wave it through the whole volume of the room, near and far, high and low."
+            f"The light moves on a plane, or all cameras stand in one place: one homography maps it between any two "
+            f"cameras to {worst:.1f} px. Wave it through the whole volume of the room, near and far, high and low, and "
+            "set the cameras apart."
         )
 
 
@@ -91,7 +92,8 @@ def check_volume(points: np.ndarray) -> None:
     """
     if len(points) < 4:
         raise InsufficientDataError(
-            f"Only {len(points)} positions of the light could be found; the recordings do not fit together."
+            f"Only {len(points)} positions of the light could be found: the recordings do not fit together; see by "
+            "`jaxpoint check` whether all cameras show one light at one time."
         )
     centred = points - np.median(points, axis=0)
     near = np.linalg.norm(centred, axis=1) <= 5 * np.median(np.linalg.norm(centred, axis=1))

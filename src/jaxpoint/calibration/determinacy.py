@@ -65,7 +65,7 @@ def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Itera
     """The finding that the recording does not determine the rig, with the cause and what helps."""
     found = determinacy_of(calibration)
     if found is None:
-        if calibration.undetermined:
+        if calibration.undetermined and calibration.freedom is not None:
             cause, why, remedy = _cause(calibration)
             yield Finding(cause, "bad", f"The recording does not determine the cameras: {why}.", remedy)
         return

@@ -63,8 +63,9 @@ def starts(inputs: Inputs, method: str) -> tuple[list[Start], list[Stage]]:
     found = sorted((start for start in found if np.isfinite(start.cost)), key=lambda start: start.cost)
     if not found:
         raise InsufficientDataError(
-            f"No first solution was found (--init {method}): the cameras' common frames do not fix all of them; "
-            "wave the light longer where several cameras see it, and through the whole volume."
+            f"No first solution was found (--init {method}): the cameras share too few frames, are out of step "
+            "(`jaxpoint check`), or have very wide lenses; wave the light longer where several cameras see it, or give "
+            "known lenses (--intrinsics)."
         )
     figures = {
         "candidates": [{"method": s.method, "robust_cost_px2": s.cost} for s in found],

@@ -42,8 +42,9 @@ def check_pairs(tracks: Tracks, table: PairTable, *, known_intrinsics: bool = Fa
     usable = int((tracks.visible.sum(axis=1) >= 2).sum())
     if usable < MIN_FRAMES:
         raise InsufficientDataError(
-            f"Only {usable} frames are seen by two or more cameras, and at least {MIN_FRAMES} are needed; "
-            "wave the light longer where the views overlap."
+            f"Only {usable} frames are seen by two or more cameras, and at least {MIN_FRAMES} are needed; if the light "
+            "was in several views at once, their frame numbers do not belong together (`jaxpoint check`); else wave it "
+            "longer where the views overlap."
         )
     _check_shared(table)
     _check_connected(table)
@@ -63,7 +64,8 @@ def _check_shared(table: PairTable) -> None:
     if best[worst] < MIN_FRAMES:
         raise InsufficientDataError(
             f"Camera '{table.names[worst]}' shares {best[worst]} frames with its best partner, and {MIN_FRAMES} are "
-            "needed. Wave the light longer in its view, or drop the camera."
+            "needed. Wave the light longer in its view, or leave the camera out (--leave-out); if it saw the light, its "
+            "frame numbers are not those of the others."
         )
 
 

@@ -110,9 +110,11 @@ def _failure(figures: dict[str, Any], page: Path) -> InsufficientDataError | Non
     if not blind:
         return None
     reason = max(blind[0]["rejected"], key=blind[0]["rejected"].get)
+    see = f"See {page}; " if page.exists() else ""
+    remedy = f"{see}{REMEDIES[reason]}."
     return InsufficientDataError(
         f"The light was found in 0 of {blind[0]['frames']} frames of camera '{blind[0]['name']}', most often for the "
-        f"reason '{reason}'; the tracks are kept. See {page}; {REMEDIES[reason]}."
+        f"reason '{reason}'; the tracks are kept. {remedy[0].upper()}{remedy[1:]}"
     )
 
 
