@@ -64,8 +64,8 @@ def _check_shared(table: PairTable) -> None:
     if best[worst] < MIN_FRAMES:
         raise InsufficientDataError(
             f"Camera '{table.names[worst]}' shares {best[worst]} frames with its best partner, and {MIN_FRAMES} are "
-            "needed. Wave the light longer in its view, or leave the camera out (--leave-out); if it saw the light, its "
-            "frame numbers are not those of the others."
+            "needed. Wave the light longer in its view, or leave the camera out (--leave-out); if it saw the light, "
+            "its frame numbers are not those of the others."
         )
 
 
