@@ -120,5 +120,5 @@ def _unique(rows: list[Row], column: str) -> tuple[str, ...]:
 
 def _positive(row: Row, column: str) -> float:
     if row.number(column) <= 0:
-        raise row.error(f"column '{column}' is {row.values[column]}; it must be positive.")
+        raise row.error(f"column '{column}' is {row.text(column)}; it must be positive.")
     return row.number(column)
