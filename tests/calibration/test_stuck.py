@@ -30,9 +30,8 @@ def tracks_of(pixels: np.ndarray) -> Tracks:
 def test_a_pixel_that_comes_and_goes_is_no_light(place, whole):
     pixels = waved(whole=whole)
     pixels[np.random.default_rng(1).random(600) < 0.2, 1] = place
-    with pytest.raises(
-        InsufficientDataError, match=rf"'cam_1' has 1\d\d of 600 .* \({place[0]:g}, {place[1]:g}\); .*empty"
-    ):
+    wanted = rf"'cam_1' has 1\d\d of 600 .* \({place[0]:g}, {place[1]:g}\); .*empty"
+    with pytest.raises(InsufficientDataError, match=wanted):
         refuse_stuck(tracks_of(pixels))
 
 
@@ -41,7 +40,7 @@ def test_one_long_gap_filled_with_a_stand_in(place):
     pixels = waved()
     pixels[200:280, 0] = place
     pixels[-40:, 2] = place
-    with pytest.raises(InsufficientDataError, match="'cam_0' has 80 of 600 .*and so have cam_2"):
+    with pytest.raises(InsufficientDataError, match=r"'cam_0' has 80 of 600 .*and so have cam_2"):
         refuse_stuck(tracks_of(pixels))
 
 

@@ -131,8 +131,8 @@ class AlignSettings:
     """What is known in metres about the room; give one of landmarks, camera centres, or floor."""
 
     landmarks: Path | None = None
-    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]`. A name is a point in `landmark_pixels`, else a camera, else
-    the number of a frame (the light was there)."""
+    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]` (or x_cm, x_mm, ...), z up. A name is a point in
+    `landmark_pixels`, else a camera, else the number of a frame (the light was there)."""
     landmark_pixels: Path | None = None
     """CSV of points clicked in two or more images, `name,camera,x,y`."""
     camera_centres: Path | None = None
@@ -144,6 +144,8 @@ class AlignSettings:
     """With `floor`: distance between its first two points."""
     max_rms_mm: Positive = 50.0
     """Quality gate: a larger rms residual fails the alignment (results are kept and marked)."""
+    max_extent_m: Positive = 300.0
+    """Cameras and known points that spread wider than this are refused as given in another unit."""
 
 
 @dataclass(frozen=True)

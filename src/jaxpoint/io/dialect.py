@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from jaxpoint.errors import FileFormatError
@@ -42,8 +43,8 @@ def decode(path: StrPath, data: bytes) -> str:
         known = "UTF-8" if encoding.startswith("utf-8") else "UTF-16"
         line = data[: error.start].count(b"\n") + 1
         raise FileFormatError(
-            f"{path} is not {known} text (byte 0x{data[error.start]:02x} in line {line}); save it as UTF-8, in Excel as "
-            f"'CSV UTF-8', or convert it: iconv -f latin1 -t utf-8 '{Path(path).name}'."
+            f"{path} is not {known} text (byte 0x{data[error.start]:02x} in line {line}); save it as UTF-8, in Excel "
+            f"as 'CSV UTF-8', or convert it: iconv -f latin1 -t utf-8 '{Path(path).name}'."
         ) from None
     if "\0" in text:
         raise FileFormatError(
@@ -130,4 +131,4 @@ def _counts(cells: Sequence[str]) -> bool:
     """Whether the values are whole numbers that rise by one."""
     if not all(re.fullmatch(r"[0-9]{1,15}", cell) for cell in cells):
         return False
-    return all(int(second) == int(first) + 1 for first, second in zip(cells, cells[1:]))
+    return all(int(second) == int(first) + 1 for first, second in pairwise(cells))

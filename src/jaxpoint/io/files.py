@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,6 +16,7 @@ from jaxpoint.finite import not_finite
 from jaxpoint.io.dialect import DECIMAL_COMMA, NUMBER, Cells, StrPath, decode, parse_cells
 
 MAX_INTEGER = 10**15
+UNITS = {"mm": 1000.0, "cm": 100.0}  # in a metre
 Aliases = Mapping[str, Sequence[str]]  # other names of a column, by ours
 
 
@@ -82,6 +83,9 @@ class Row:
     line: int
     values: dict[str, str]  # by the column's name in small letters
     decimal_comma: frozenset[str] = frozenset()  # columns whose numbers are written as 3,5
+    divisors: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of columns that are given in another unit than their name
 
     def error(self, message: str) -> FileFormatError:
         """The error that says where it is."""
@@ -107,7 +111,7 @@ class Row:
             raise self.error(f"column '{column}' is {value}; give a finite number or drop the line.")
         if not NUMBER.fullmatch(plain):
             raise self.error(f"column '{column}' is '{value}', which is not a number; write it as 1234.5.")
-        number = float(plain)
+        number = float(plain) / self.divisors.get(column.casefold(), 1.0)
         if not math.isfinite(number):
             raise self.error(f"column '{column}' is {value}; give a finite number or drop the line.")
         return number
@@ -137,8 +141,8 @@ def _too_long(column: str, value: str, number: float) -> str:
     """What to say of a whole number with too many digits, nearly always a clock's count."""
     unit = "us" if number < 1e17 else "ns"
     return (
-        f"column '{column}' is {value}, more than 15 digits, as a clock's count has; count 0, 1, 2, ... in it (the same "
-        f"number for what belongs together), and put times into a column of their own (time_{unit})."
+        f"column '{column}' is {value}, more than 15 digits, as a clock's count has; count 0, 1, 2, ... in it (the "
+        f"same number for what belongs together), and put times into a column of their own (time_{unit})."
     )
 
 
@@ -160,7 +164,8 @@ def parse_header(path: StrPath, text: str, aliases: Aliases | None = None) -> li
 def read_table(path: StrPath, required: Sequence[str], aliases: Aliases | None = None) -> list[Row]:
     """The rows of a CSV file with a header; empty lines and lines that start with # are left out.
 
-    Columns are separated by commas, semicolons, tabs or bars; their names may be written in capitals.
+    Columns are separated by commas, semicolons, tabs or bars; their names may be written in capitals. Where we name a
+    column by metres (x_m), x_cm, x_mm and x [mm] are read too.
 
     Args:
         path: the file.
@@ -179,16 +184,17 @@ def parse_table(path: StrPath, text: str, required: Sequence[str], aliases: Alia
     if cells is None:
         raise FileFormatError(f"{path} is empty; its first line must be {','.join(required)}.")
     names = _names(cells.header, aliases or {})
+    names, divisors = _in_metres(names, {name.casefold() for name in required})
     _check_header(path, cells, names, required)
     if not cells.lines:
         raise FileFormatError(f"{path} has a header but no rows; it must hold at least one.")
     comma = frozenset(name for name, written in zip(names, cells.header) if written in cells.decimal_comma)
-    return [Row(path, line, dict(zip(names, values)), comma) for line, values in cells.lines]
+    return [Row(path, line, dict(zip(names, values)), comma, divisors) for line, values in cells.lines]
 
 
 def _names(header: Sequence[str], aliases: Aliases) -> list[str]:
-    """Our names of the columns, in small letters."""
-    names = [cell.casefold() for cell in header]
+    """Our names of the columns, in small letters; a unit as x_mm, whether written so or as x [mm], x (mm), x mm."""
+    names = [re.sub(r"[\s_]*[\[(\s](mm|cm|m|px|s|ms|us|ns)[\])]?$", r"_\1", cell.casefold()) for cell in header]
     for name, others in aliases.items():
         alias = next((other for other in others if other in names), None)
         if name not in names and alias is not None:
@@ -196,11 +202,29 @@ def _names(header: Sequence[str], aliases: Aliases) -> list[str]:
     return names
 
 
+def _in_metres(names: Sequence[str], required: set[str]) -> tuple[list[str], dict[str, float]]:
+    """Columns that are named by millimetres or centimetres under our name, and by what their numbers are divided."""
+    ours, divisors = list(names), {}
+    for i, name in enumerate(names):
+        base, _, unit = name.rpartition("_")
+        if unit in UNITS and name not in required and f"{base}_m" not in ours:
+            ours[i] = f"{base}_m"
+            divisors[ours[i]] = UNITS[unit]
+    return ours, divisors
+
+
 def _check_header(path: StrPath, cells: Cells, names: Sequence[str], required: Sequence[str]) -> None:
     missing = [column for column in required if column.casefold() not in names]
     wanted = f"its first line must be {','.join(required)}"
     if missing and any(NUMBER.fullmatch(cell) or DECIMAL_COMMA.fullmatch(cell) for cell in cells.header):
         raise FileFormatError(f"{path} starts with values ({', '.join(cells.header)}), not names; {wanted}.")
+    bare = [column for column in missing if column.endswith("_m") and column.removesuffix("_m") in names]
+    if bare:
+        base = bare[0].removesuffix("_m")
+        raise FileFormatError(
+            f"{path} has no column '{bare[0]}' (it has {', '.join(cells.header)}); say the unit of '{base}': name it "
+            f"{base}_m, {base}_cm or {base}_mm, and the others alike."
+        )
     if missing:
         raise FileFormatError(
             f"{path} has no column '{missing[0]}' (it has {', '.join(cells.header)}); {wanted}, separated by commas."

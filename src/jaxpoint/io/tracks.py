@@ -1,9 +1,10 @@
 """Tracks in files: our own `.npz`, a long CSV, caliscope's corners, and the one door to all of them, `read_tracks`.
 
 Long CSV: `frame,time,camera,x,y`, one line for each light seen. `time` (s; or `time_ms`, `time_us`, `time_ns`) may be
-left out; x or y empty or NaN means hidden. Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes come from the columns `width,height`, else from the argument `image_sizes`, else from a file
-`cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are
-sorted by name, cam_2 before cam_10.
+left out; x or y empty or NaN means hidden. Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes
+come from the columns `width,height`, else from the argument `image_sizes`, else from a file `cameras.csv`
+(`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are sorted by
+name, cam_2 before cam_10.
 """
 
 from __future__ import annotations
@@ -246,8 +247,8 @@ def _scatter(
         place = frame_index[frame], camera_index[name]
         if taken[place]:
             raise row.error(
-                f"camera '{name}' has a second line for frame {frame}; a file holds one light, so keep one line (of two "
-                "lights, each in a file of its own)."
+                f"camera '{name}' has a second line for frame {frame}; a file holds one light, so keep one line (of "
+                "two lights, each in a file of its own)."
             )
         taken[place] = True
         if not (row.missing(xy[0]) or row.missing(xy[1])):
