@@ -21,7 +21,7 @@ ABOVE = 0.8  # share of the cameras that must be higher than the landmarks along
 SMALLEST_M = 0.05  # of cameras and landmarks together
 WHOLE_M = 30.0  # wider, and in whole numbers, is no room in metres,
 WIDE_M = 60.0  # is worth a warning
-NATIONAL_M = 1e5  # unless it is given in the coordinates of a country
+NATIONAL_M = 1e5  # unless it is given on a national grid, which is in metres
 
 UNITS = {"mm": 1000.0, "cm": 100.0}  # in a metre
 TURNS = {
@@ -68,7 +68,7 @@ def check_upright(stand: Stand, known: Float[np.ndarray, "N 3"], right_handed: b
     below = int((stand.centres[:, 2] < floor).sum())
     looks_up = float(np.median(stand.ahead[:, 2])) > LOOKS_UP
     if _most(stand.votes(np.array([0.0, 0.0, 1.0]))):
-        return _lower(stand, known)
+        return _lower(stand, known) if 2 * below > count else ()
     other = _other_up(stand, known)
     turn = f"{TURNS['-z']}{'' if right_handed else _OR_MIRROR}, in the file of known points."
     if other in ("+x", "-x", "+y", "-y"):
@@ -77,7 +77,8 @@ def check_upright(stand: Stand, known: Float[np.ndarray, "N 3"], right_handed: b
             "the file of known points."
         )
     if other == "-z" and (looks_up or 2 * below > count):
-        raise InsufficientDataError(f"{_below(below, count, floor)}, upside down. {turn}")
+        what = _below(below, count, floor) if 2 * below > count else "Most cameras come out looking up"
+        raise InsufficientDataError(f"{what}, upside down. {turn}")
     if 2 * below > count and float(np.median(stand.ahead[:, 2])) > -LOOKS_UP:
         raise InsufficientDataError(f"{_below(below, count, floor)}. {turn}")
     return _lower(stand, known)
@@ -114,7 +115,8 @@ def check_size(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N 3"
         InsufficientDataError: the message names the size and the unit that fits.
     """
     width = float(np.ptp(np.concatenate([centres, known]), axis=0).max())
-    whole = bool((known == np.round(known)).all() and np.abs(known).max() < NATIONAL_M)
+    national = float(np.abs(known).max()) >= NATIONAL_M
+    whole = not national and bool((known == np.round(known)).all())
     if width < SMALLEST_M:
         raise InsufficientDataError(
             f"Cameras and known points are {1e3 * width:.2g} mm wide altogether; give the known places in metres "
@@ -125,7 +127,7 @@ def check_size(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N 3"
     remedy = f"name the columns x_{unit},y_{unit},z_{unit} if the places are in {unit}"
     if width > (min(WHOLE_M, largest_m) if whole else largest_m):
         raise InsufficientDataError(f"{wide}: {remedy}, or raise --max-extent-m if it is so wide.")
-    return (f"{wide}: {remedy}.",) if width > WIDE_M else ()
+    return (f"{wide}: {remedy}.",) if width > WIDE_M and not national else ()
 
 
 def _most(votes: Bool[np.ndarray, " C"]) -> bool:
