@@ -123,7 +123,10 @@ class InputSettings:
     timestamps: Path | None = None
     """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None
-    """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
+    """Known lenses, with or without poses: a calibration.json or .toml, Kalibr's or OpenCV's .yaml, or a folder of
+    OpenCV's .yaml or of *.rad files; see `lens.known`."""
+    intrinsics_by_order: bool = False
+    """The known lenses are in the order of the cameras, whatever their names."""
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -42,12 +42,15 @@ from jaxtyping import Float
 from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.errors import FileFormatError
-from jaxpoint.io.files import StrPath, natural_key, read_text, replacing
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.geometry.pose import Similarity
+from jaxpoint.io.files import UNITS, StrPath, natural_key, read_text, replacing
+from jaxpoint.io.lenses import YAML, brown_coefficients, read_yaml_lenses, refuse_other_model
 from jaxpoint.io.qualisys import read_qualisys
 
 CALIBRATION_FORMAT = "jaxpoint-calibration"
 CALIBRATION_VERSION = 1
+UNSTATED = "unstated"  # the unit of a file that does not say it
 CAMERA_PARAMETERS = (
     "rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z",
     "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
@@ -61,9 +64,9 @@ class _CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
     name: str
     size: tuple[int, int]
     K: Matrix3
-    distortion: tuple[float, float, float, float, float]
-    rotation: Matrix3
-    translation: Vector3
+    distortion: list[float]
+    rotation: Matrix3 | None = None
+    translation: Vector3 | None = None
 
 
 class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
@@ -92,11 +95,22 @@ class SavedCalibration:
     """A rig as it stood in a file."""
 
     rig: CameraRig
-    unit: str = "m"  # of the translations: "m" or "arbitrary"
+    unit: str = "m"  # of the translations: "m", "arbitrary" or UNSTATED
     covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
     gauge: str | None = None  # what holds its frame: "free" or "landmarks"
     provenance: dict[str, Any] = field(default_factory=dict)
     time_offsets: TimeOffsets | None = None
+
+
+def read_lenses(path: StrPath) -> CameraRig:
+    """Known lenses, from whatever `read_calibration` reads, with or without poses, or from YAML (`read_yaml_lenses`).
+
+    Raises:
+        FileFormatError: it is none of these, a value is missing or wrong, or a lens is of a model that is not known.
+    """
+    path = Path(path)
+    yaml = path.suffix.lower() in YAML or (path.is_dir() and any(f.suffix.lower() in YAML for f in path.iterdir()))
+    return read_yaml_lenses(path) if yaml else _read(path, poses=False).rig
 
 
 def read_calibration(path: StrPath) -> SavedCalibration:
@@ -105,16 +119,24 @@ def read_calibration(path: StrPath) -> SavedCalibration:
     Raises:
         FileFormatError: it is none of these, or a value is missing or wrong (the message gives its path).
     """
-    path = Path(path)
+    return _read(Path(path), poses=True)
+
+
+def _read(path: Path, poses: bool) -> SavedCalibration:
     if path.is_dir():
         path = path / "calibration.json"
-    if path.suffix == ".json":
-        return read_calibration_json(path)
-    if path.suffix == ".toml":
-        return read_camera_array(path) if "cameras" in _read_toml(path) else read_calibration_toml(path)
-    if path.name.endswith(".qca.txt"):
+    if path.suffix.lower() == ".json":
+        return read_calibration_json(path, poses)
+    if path.suffix.lower() == ".toml":
+        return read_camera_array(path, poses) if "cameras" in _read_toml(path) else read_calibration_toml(path, poses)
+    if path.name.lower().endswith(".qca.txt"):
         return SavedCalibration(read_qualisys(path))
-    raise FileFormatError(f"{path} is no calibration; give a calibration.json, a .toml, a .qca.txt, or a run's folder.")
+    if not path.exists():
+        raise FileFormatError(f"There is no file {path}; check the path.")
+    lens = " (YAML of lenses goes to `jaxpoint calibrate --intrinsics`)" if path.suffix.lower() in YAML else ""
+    raise FileFormatError(
+        f"{path} is no calibration; give a calibration.json, a .toml, a .qca.txt, or a run's folder{lens}."
+    )
 
 
 def write_calibration_json(
@@ -158,8 +180,8 @@ def write_calibration_json(
         file.write(msgspec.json.format(msgspec.json.encode(content), indent=1))
 
 
-def read_calibration_json(path: StrPath) -> SavedCalibration:
-    """A rig written by `write_calibration_json`.
+def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration:
+    """A rig written by `write_calibration_json`; `poses` False lets cameras go without.
 
     Raises:
         FileFormatError: not JSON, another format or version, or an unknown, missing or wrong field (with its path).
@@ -180,8 +202,10 @@ def read_calibration_json(path: StrPath) -> SavedCalibration:
     if content.unit not in ("m", "arbitrary"):
         raise FileFormatError(f"{path}: unit '{content.unit}' at `$.unit` is neither 'm' nor 'arbitrary'.")
     for i, camera in enumerate(content.cameras):
+        if len(camera.distortion) < 4:
+            raise FileFormatError(f"{path}: `$.cameras[{i}].distortion` must be k1, k2, p1, p2 and k3, five numbers.")
         _check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
-    rig = _rig(path, content.cameras)
+    rig = _rig(path, content.cameras, poses)
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
     late = _time_offsets(path, content.time_offsets, len(rig))
@@ -237,10 +261,11 @@ def write_calibration_toml(
         tomli_w.dump(content, file)
 
 
-def read_calibration_toml(path: StrPath) -> SavedCalibration:
+def read_calibration_toml(path: StrPath, poses: bool = True) -> SavedCalibration:
     """A rig written by `write_calibration_toml`, anipose, caliscope or Pose2Sim; the cameras in the file's order.
 
-    The unit is metres unless `[metadata]` has `unit`.
+    Millimetres and centimetres become metres where `[metadata]` has such a `unit`; without one the unit is `UNSTATED`.
+    `poses` False lets cameras go without.
 
     Raises:
         FileFormatError: not TOML, no camera, a fish-eye lens, or a missing or wrong value (with its section).
@@ -248,25 +273,53 @@ def read_calibration_toml(path: StrPath) -> SavedCalibration:
     content = _read_toml(path)
     metadata = content.pop("metadata", {})
     cameras = [
-        _toml_entry(path, section, table, str(table.get("name", section)))
+        _toml_entry(path, section, table, str(table.get("name", section)), poses)
         for section, table in content.items()
         if isinstance(table, dict)
     ]
     if not cameras:
         raise FileFormatError(f"{path} holds no camera; expected sections [cam_0], [cam_1], ...")
-    return SavedCalibration(_rig(path, cameras), str(metadata.get("unit", "m")), provenance=metadata)
+    saved = SavedCalibration(_rig(path, cameras, poses), str(metadata.get("unit", UNSTATED)), provenance=metadata)
+    return in_metres(saved, saved.unit) if saved.unit in UNITS else saved
 
 
-def read_camera_array(path: StrPath) -> SavedCalibration:
+def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
+    """A calibration whose lengths are in `unit` (m, cm or mm), in metres."""
+    with jax.enable_x64(True):
+        size = Similarity(np.asarray(1.0 / UNITS.get(unit, 1.0)), np.eye(3), np.zeros(3))
+        return replace(saved, rig=saved.rig.transformed(size), unit="m")
+
+
+def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
+    """The calibration in metres, where it is or where its unit is given.
+
+    Raises:
+        UsageError: its unit is not known, or it has no metric scale at all.
+    """
+    if saved.unit == UNSTATED and unit is not None:
+        return in_metres(saved, unit)
+    if saved.unit == UNSTATED:
+        raise UsageError(
+            f"'{path}' does not say its unit; give --unit mm, cm or m, or write unit = \"mm\" into its [metadata]."
+        )
+    if saved.unit != "m":
+        raise UsageError(
+            f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
+        )
+    return saved
+
+
+def read_camera_array(path: StrPath, poses: bool = True) -> SavedCalibration:
     """The cameras of caliscope's `camera_array.toml` (metres), named cam_<id>; ignored cameras are left out.
 
     Raises:
         FileFormatError: not such a file, a fish-eye lens, or a missing or wrong value (with its section).
     """
     cameras = [
-        _toml_entry(path, f"cameras.{key}", table, f"cam_{key}") for key, table in _camera_array_tables(path).items()
+        _toml_entry(path, f"cameras.{key}", table, f"cam_{key}", poses)
+        for key, table in _camera_array_tables(path).items()
     ]
-    return SavedCalibration(_rig(path, cameras))
+    return SavedCalibration(_rig(path, cameras, poses))
 
 
 def read_camera_array_sizes(path: StrPath) -> dict[str, tuple[int, int]]:
@@ -303,29 +356,28 @@ def _toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str) -> _CameraEntry:
+def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str, poses: bool) -> _CameraEntry:
     where = f"{path}, [{section}]: "
     if table.get("fisheye"):
-        raise FileFormatError(f"{where}a fish-eye lens cannot be read; only Brown's distortion can.")
-    distortion = np.zeros(5)
-    given = _numbers(where, table, "distortions", None)
-    if given.ndim != 1 or given.size > 5:
-        raise FileFormatError(f"{where}distortions has shape {given.shape}; give at most k1, k2, p1, p2, k3.")
-    distortion[: given.size] = given
+        refuse_other_model(where, "fisheye")
+    if "distortions" not in table:
+        raise FileFormatError(f"{where}'distortions' is missing.")
+    distortion = brown_coefficients(where, table["distortions"])
+    matrix = _tuples(_numbers(where, table, "matrix", (3, 3)))
+    entry = _CameraEntry(name, _toml_size(where, table), matrix, distortion.tolist(), *_toml_pose(where, table, poses))
+    _check_entry(where, entry)
+    return entry
+
+
+def _toml_pose(where: str, table: Mapping[str, Any], needed: bool) -> tuple[Any, Any]:
+    """Rotation matrix and translation; neither where they are not needed and not there."""
+    if not needed and not {"rotation", "translation"} & table.keys():
+        return None, None
     rotation = _numbers(where, table, "rotation", None)
     if rotation.shape not in ((3,), (3, 3)):
         raise FileFormatError(f"{where}rotation has shape {rotation.shape}; give a rotation vector or a 3 x 3 matrix.")
     matrix = cv2.Rodrigues(rotation)[0] if rotation.shape == (3,) else rotation
-    entry = _CameraEntry(
-        name,
-        _toml_size(where, table),
-        _tuples(_numbers(where, table, "matrix", (3, 3))),
-        _tuples(distortion),
-        _tuples(np.asarray(matrix)),
-        _tuples(_numbers(where, table, "translation", (3,))),
-    )
-    _check_entry(where, entry)
-    return entry
+    return _tuples(np.asarray(matrix)), _tuples(_numbers(where, table, "translation", (3,)))
 
 
 def _numbers(where: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> np.ndarray:
@@ -346,7 +398,8 @@ def _tuples(values: np.ndarray) -> Any:
 
 
 def _check_entry(where: str, camera: _CameraEntry) -> None:
-    k, rotation = np.array(camera.K), np.array(camera.rotation)
+    k, rotation = np.array(camera.K), np.eye(3) if camera.rotation is None else np.array(camera.rotation)
+    brown_coefficients(where, camera.distortion)
     if min(camera.size) <= 0:
         raise FileFormatError(f"{where}size {list(camera.size)} must be positive.")
     if min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
@@ -355,18 +408,24 @@ def _check_entry(where: str, camera: _CameraEntry) -> None:
         raise FileFormatError(f"{where}the rotation is none: R R^T must be the identity and det R = +1.")
 
 
-def _rig(path: StrPath, cameras: list[_CameraEntry]) -> CameraRig:
+def _rig(path: StrPath, cameras: list[_CameraEntry], poses: bool) -> CameraRig:
     names = tuple(camera.name for camera in cameras)
     if not names or len(set(names)) != len(names):
         raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
+    without = [camera.name for camera in cameras if camera.rotation is None or camera.translation is None]
+    if poses and without:
+        raise FileFormatError(
+            f"{path}: camera '{without[0]}' has no rotation and translation, only a lens; calibrate with it "
+            "(--intrinsics), and use the calibration that comes out."
+        )
     k = np.array([camera.K for camera in cameras])
     with jax.enable_x64(True):
         return CameraRig.from_parameters(
             focal=k[:, [0, 1], [0, 1]],
             center=k[:, :2, 2],
-            distortion=np.array([camera.distortion for camera in cameras]),
-            rotation=np.array([camera.rotation for camera in cameras]),
-            translation=np.array([camera.translation for camera in cameras]),
+            distortion=np.array([brown_coefficients("", camera.distortion) for camera in cameras]),
+            rotation=np.array([camera.rotation or np.eye(3) for camera in cameras]),
+            translation=np.array([camera.translation or np.zeros(3) for camera in cameras]),
             image_sizes=np.array([camera.size for camera in cameras]),
             names=names,
         )
