@@ -111,7 +111,7 @@ def _by_centres(
 
     assert settings.camera_centres is not None
     names = calibration.rig.names
-    known = read_camera_centres(settings.camera_centres, names)
+    known = read_camera_centres(settings.camera_centres, names, settings.unit)
     centres, rotations = _cameras(calibration)
     found = align_to_camera_centres(
         locate(calibration, known.names)[0],

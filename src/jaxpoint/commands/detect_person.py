@@ -13,9 +13,9 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
-from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
+from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest, nobody_followed, remedy_of_heights
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions
-from jaxpoint.config import Count, Fraction, RoomConfig
+from jaxpoint.config import Count, Fraction, RoomConfig, Unit
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
@@ -41,6 +41,8 @@ class DetectPerson(SeededOptions):
     """Folder of the session, or of its videos."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    unit: Unit = None
+    """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     landmarks: Path | None = None
     """What a pose estimator found, instead of the images: a CSV file with frame, camera, name, x, y, confidence, and
     person where there are several."""
@@ -71,11 +73,11 @@ class DetectPerson(SeededOptions):
 
         out = self.needed_folder("person-run")
         check_table_path(out / f"detections.{self.format}")
-        session = open_session(self.session, self.calibration)
+        session = open_session(self.session, self.calibration, self.unit)
         with console.progress() as progress:
             views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
         figures = _write(self, out, session, views, following)
-        return Outcome(figures, _lines(figures, out), _failure(self, figures))
+        return Outcome(figures, _lines(figures, out), _failure(self, figures, _remedy(self, session, views, following)))
 
 
 def _seen(
@@ -197,7 +199,18 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     return (*lines, *figures["notes"], f"Tables: {out}", f"Report: {out / 'report.html'}")
 
 
-def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientDataError | None:
+def _remedy(
+    command: DetectPerson, session: Session, views: tuple[CameraViews, ...], following: Following | None
+) -> str:
+    """What helps where nobody could be followed."""
+    if following is None or len(following.tracking.heads.people):
+        return OF_THIS_ROOM
+    return remedy_of_heights(session, views, command.track)
+
+
+def _failure(
+    command: DetectPerson, figures: dict[str, Any], remedy: str = OF_THIS_ROOM
+) -> InsufficientDataError | None:
     cameras = figures["cameras"]
     if not any(camera["with_person"] for camera in cameras):
         nobody = f"Nobody was found in {figures['moments']} moments of {len(cameras)} cameras; "
@@ -206,9 +219,4 @@ def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientData
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
     if figures["people"] or not figures["followed"]:
         return None
-    heads = [camera["heads"] for camera in cameras if camera["heads"]]
-    agreed, of = command.track.confirm
-    return InsufficientDataError(
-        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {len(heads)} of {len(cameras)} cameras,"
-        f" and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}"
-    )
+    return nobody_followed([camera["heads"] for camera in cameras], command.track, remedy)

@@ -15,7 +15,7 @@ from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, Unit
 
 
 @dataclass(frozen=True)
@@ -140,6 +140,8 @@ class AlignSettings:
     """CSV of points clicked in two or more images, `name,camera,x,y`."""
     camera_centres: Path | None = None
     """Known camera positions: CSV in the form of `landmarks`, a calibration file, or a .dat with one row a camera."""
+    unit: Unit = None
+    """Unit of camera centres from a file that does not say it, m, cm or mm."""
     floor: tuple[str, ...] = ()
     """Three or more points on the floor, named as in `landmarks`: the first becomes the origin, x points to the
     second."""

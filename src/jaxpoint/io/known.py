@@ -15,8 +15,8 @@ import jax
 import numpy as np
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import read_calibration
-from jaxpoint.io.files import Row, StrPath, read_table
+from jaxpoint.io.calibration import UNSTATED, needs_metres, read_calibration
+from jaxpoint.io.files import UNITS, Row, StrPath, read_table
 from jaxpoint.io.svoboda import read_matrix
 from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths
 
@@ -72,12 +72,17 @@ def read_lengths(path: StrPath) -> Lengths:
     )
 
 
-def read_camera_centres(path: StrPath, cameras: Sequence[str]) -> Landmarks:
+def read_camera_centres(path: StrPath, cameras: Sequence[str], unit: str | None = None) -> Landmarks:
     """Known places of the cameras, in metres, in the order of `cameras`.
 
     From `landmarks.csv` with the cameras' names (some may be missing), from a calibration (`calibration.json`,
     `calibration.toml`, `camera_array.toml`; names again), or from a matrix of text with one row a camera
     (`original_cam_centers.dat`, or a folder that holds it).
+
+    Args:
+        path: the file or folder.
+        cameras: names of the rig's.
+        unit: of a file that does not say it, m, cm or mm; a matrix is in metres without.
 
     Raises:
         FileFormatError: it is none of these, names no camera of the rig, or has not one row a camera.
@@ -85,20 +90,21 @@ def read_camera_centres(path: StrPath, cameras: Sequence[str]) -> Landmarks:
     path = Path(path)
     if path.is_dir():
         path = path / "original_cam_centers.dat"
-    if path.suffix == ".dat":
+    if path.suffix.lower() == ".dat":
         centres = read_matrix(path)
         if centres.shape != (len(cameras), 3) or not np.isfinite(centres).all():
             raise FileFormatError(
                 f"{path} is {centres.shape[0]} x {centres.shape[1]}; {len(cameras)} cameras need {len(cameras)} rows "
                 "of three finite numbers."
             )
-        return Landmarks(tuple(cameras), centres)
-    if path.suffix == ".csv":
+        return Landmarks(tuple(cameras), centres / UNITS.get(unit or "m", 1.0))
+    if path.suffix.lower() in (".csv", ".tsv", ".txt"):
         known = read_landmarks(path)
     else:
         saved = read_calibration(path)
-        if saved.unit != "m":
+        if saved.unit not in ("m", UNSTATED):
             raise FileFormatError(f"{path} is in the unit '{saved.unit}'; known camera centres must be in metres.")
+        saved = needs_metres(path, saved, unit)
         with jax.enable_x64(True):
             known = Landmarks(saved.rig.names, np.asarray(saved.rig.positions))
     names = [name for name in cameras if name in known.names]
