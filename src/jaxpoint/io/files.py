@@ -16,6 +16,11 @@ from jaxpoint.finite import not_finite
 from jaxpoint.io.dialect import DECIMAL_COMMA, NUMBER, Cells, StrPath, decode, parse_cells
 
 MAX_INTEGER = 10**15
+PIXEL_ALIASES = {
+    "camera": ("cam", "cam_id", "camera_id", "camera_name", "cam_name"),
+    "x": ("u", "x_px", "u_px"),
+    "y": ("v", "y_px", "v_px"),
+}  # of columns that say where something is in which image
 UNITS = {"mm": 1000.0, "cm": 100.0}  # in a metre
 Aliases = Mapping[str, Sequence[str]]  # other names of a column, by ours
 

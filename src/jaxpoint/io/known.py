@@ -2,7 +2,7 @@
 
 - `landmarks.csv`: `name,x_m,y_m,z_m`, and optionally `sigma_m` (standard deviation of each coordinate, m).
 - `landmark_pixels.csv`: `name,camera,x,y`, a point clicked in the image of a camera (px, (0, 0) is the centre of the
-  top-left pixel); each point in two or more images.
+  top-left pixel); each point in two or more images. Empty cells of x and y mean: not clicked there.
 - `lengths.csv`: `name,end_a,end_b,length_m`, the ends named as in `landmark_pixels.csv`.
 """
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import UNSTATED, needs_metres, read_calibration
-from jaxpoint.io.files import UNITS, Row, StrPath, read_table
+from jaxpoint.io.files import PIXEL_ALIASES, UNITS, Row, StrPath, read_table
 from jaxpoint.io.svoboda import read_matrix
 from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths
 
@@ -42,7 +42,8 @@ def read_landmark_pixels(path: StrPath, cameras: Sequence[str]) -> LandmarkPixel
         FileFormatError: a missing column or value, a camera that is not among `cameras`, or a point clicked twice in
             one image.
     """
-    rows = read_table(path, ("name", "camera", "x", "y"))
+    rows = read_table(path, ("name", "camera", "x", "y"), PIXEL_ALIASES)
+    _check_stand_ins(path, rows)
     names = tuple(dict.fromkeys(row.text("name") for row in rows))
     pixels = np.zeros((len(names), len(cameras), 2))
     visible = np.zeros((len(names), len(cameras)), bool)
@@ -51,8 +52,21 @@ def read_landmark_pixels(path: StrPath, cameras: Sequence[str]) -> LandmarkPixel
         place = point_index[row.text("name")], row.camera(cameras)
         if visible[place]:
             raise row.error(f"'{row.text('name')}' is given twice for camera '{row.text('camera')}'; keep one.")
-        pixels[place], visible[place] = (row.number("x"), row.number("y")), True
+        if not (row.missing("x") or row.missing("y")):
+            pixels[place], visible[place] = (row.number("x"), row.number("y")), True
     return LandmarkPixels(names, pixels, visible)
+
+
+def _check_stand_ins(path: StrPath, rows: list[Row]) -> None:
+    """Refuse clicks at (0, 0) or (-1, -1), by which many write "not clicked"."""
+    for stand_in in ((0.0, 0.0), (-1.0, -1.0)):
+        given = [row for row in rows if not (row.missing("x") or row.missing("y"))]
+        at = [row for row in given if (row.number("x"), row.number("y")) == stand_in]
+        if len(at) > 1:
+            raise FileFormatError(
+                f"{path}: {len(at)} points are clicked at one and the same pixel ({stand_in[0]:g}, {stand_in[1]:g}); "
+                "leave the cells of x and y empty where a point was not clicked."
+            )
 
 
 def read_lengths(path: StrPath) -> Lengths:

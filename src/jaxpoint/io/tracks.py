@@ -19,7 +19,7 @@ from jaxtyping import Int
 from jaxpoint.calibration.stuck import refuse_stuck
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.calibration import read_camera_array_sizes
-from jaxpoint.io.files import Row, StrPath, natural_key, read_header, read_table, replacing
+from jaxpoint.io.files import PIXEL_ALIASES, Row, StrPath, natural_key, read_header, read_table, replacing
 from jaxpoint.io.svoboda import read_svoboda
 from jaxpoint.tracks import Tracks
 
@@ -28,9 +28,7 @@ TRACKS_VERSION = 1
 LONG_COLUMNS = ("frame", "camera", "x", "y")
 ALIASES = {
     "frame": ("frame_id", "frame_number", "frame_index", "sync_index"),
-    "camera": ("cam", "cam_id", "camera_id", "camera_name", "cam_name"),
-    "x": ("u", "x_px", "u_px"),
-    "y": ("v", "y_px", "v_px"),
+    **PIXEL_ALIASES,
     "width": ("image_width", "width_px"),
     "height": ("image_height", "height_px"),
 }
