@@ -97,8 +97,9 @@ def _clicked(views: Path, calibration: Path | None, unit: str | None) -> tuple[n
     """Corners (m), the largest standard deviation of one in any direction (m), and how many cameras took part."""
     import numpy as np
 
-    from jaxpoint.io.calibration import needs_metres, read_calibration
+    from jaxpoint.io.calibration import read_calibration
     from jaxpoint.io.files import read_table
+    from jaxpoint.io.rig_entries import needs_metres
     from jaxpoint.landmarks import CLICK_SIGMA_PX, MISCLICK_PX
     from jaxpoint.triangulation import triangulate
 

@@ -22,8 +22,9 @@ from jaxtyping import Float, Int
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
-from jaxpoint.io.calibration import needs_metres, read_calibration
+from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import natural_key
+from jaxpoint.io.rig_entries import needs_metres
 from jaxpoint.io.timestamps import Timestamps, read_timestamps
 from jaxpoint.io.video import IMAGE_SUFFIXES, FrameSource, open_frames
 
