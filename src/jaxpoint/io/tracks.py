@@ -27,7 +27,7 @@ TRACKS_FORMAT = "jaxpoint-tracks"
 TRACKS_VERSION = 1
 LONG_COLUMNS = ("frame", "camera", "x", "y")
 ALIASES = {
-    "frame": ("frame_id", "frame_number", "frame_index", "sync_index"),
+    "frame": ("sync_index", "frame_id", "frame_number", "frame_index"),  # what all cameras share first
     **PIXEL_ALIASES,
     "width": ("image_width", "width_px"),
     "height": ("image_height", "height_px"),
