@@ -110,7 +110,7 @@ def test_lengths_need_metres_and_two_images():
         validate_lengths(dataclasses.replace(TRUTH, unit="arbitrary"), lengths(), CLICKS)
     visible = CLICKS.visible.copy()
     visible[3, 1:] = False
-    with pytest.raises(InsufficientDataError, match="'corner_3' is clicked in 1 images; click it in two or more"):
+    with pytest.raises(InsufficientDataError, match="'corner_3' is clicked in 1 image; click it in two or more"):
         validate_lengths(TRUTH, lengths(), dataclasses.replace(CLICKS, visible=visible))
     unknown = Lengths(("edge",), (("corner_0", "door"),), np.array([1.0]))
     with pytest.raises(InsufficientDataError, match="'door' is clicked in 0 images"):

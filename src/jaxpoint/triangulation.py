@@ -24,7 +24,7 @@ from jaxpoint.camera.distortion import AbstractDistortion, Brown, brown_slopes, 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.cores import by_all_cores
-from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+from jaxpoint.geometry.arrays import AnyArray, as_float, check_whole, stack_last, widest
 from jaxpoint.geometry.linalg import Symmetric, Vector, symmetric_full, symmetric_inverse, symmetric_times
 
 MIN_PARALLAX = math.radians(2.0)
@@ -85,7 +85,8 @@ def triangulate(
 ) -> Triangulation:
     """Points of the world from their pixels in two or more cameras, one point or millions.
 
-    Pixels are as the cameras saw them, distortion included; what stands at a hidden pixel never matters. The result
+    Pixels are as the cameras saw them, distortion included; what stands at a hidden pixel never matters. Where rig,
+    pixels and covariance differ in precision, the highest counts. The result
     minimises the squared pixel error over the views used, and its derivatives by pixels and cameras come from the
     implicit function theorem.
 
@@ -122,14 +123,19 @@ def triangulate(
     batch = pixels.shape[:-2]
     count = math.prod(batch)
     pixels, visible = pixels.reshape(count, cameras, 2), visible.reshape(count, cameras)
-    noise = as_float(sigma_px), None if camera_covariance is None else as_float(camera_covariance)
+    check_whole(pixels)
+    spread = None if camera_covariance is None else as_float(camera_covariance)
+    dtype = widest(rig, pixels, spread)
+    stacked, spread = jax.tree.map(lambda leaf: leaf.astype(dtype), (rig.cameras, spread))
+    noise = as_float(sigma_px).astype(dtype), spread
     traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((rig, pixels, visible, noise)))
     block, size = _sizes(count, cameras, whole=traced)
 
     def part(start: int) -> Triangulation:
         some = slice(start, start + size)
-        seen = _padded(as_float(pixels[some]), size), _padded(jnp.asarray(visible[some], dtype=bool), size)
-        return _triangulate(rig.cameras, *seen, *noise, refine_steps, block, covariance)
+        own = as_float(pixels[some]).astype(dtype), jnp.asarray(visible[some], dtype=bool)
+        seen = tuple(_padded(values, size) for values in own)
+        return _triangulate(stacked, *seen, *noise, refine_steps, block, covariance)
 
     if count > size:
         pixels, visible = np.asarray(pixels), np.asarray(visible)

@@ -160,7 +160,7 @@ def broken(content, path, value):
         (["extra"], 1, "unknown field `extra`"),
         (["cameras", 1, "K"], None, r"missing required field `K` - at `\$\.cameras\[1\]`"),
         (["cameras", 1, "size"], [1.5, 2], r"`\$\.cameras\[1\]\.size\[0\]`"),
-        (["cameras", 1, "distortion"], [0.1], r"length 5.*`\$\.cameras\[1\]\.distortion`"),
+        (["cameras", 1, "distortion"], [0.1], r"`\$\.cameras\[1\]\.distortion` must be .* five numbers"),
         (["cameras", 1, "translation"], [0, 0, "x"], r"Expected `float`, got `str` - at `\$\.cameras\[1\]\.transl"),
         (["cameras", 1, "rotation", 0], [2, 0, 0], r"at `\$\.cameras\[1\]`, the rotation is none"),
         (["cameras", 1, "K", 0], [1, 2, 3], r"at `\$\.cameras\[1\]`, K must be"),
@@ -187,7 +187,8 @@ def test_wrong_json_names_the_field(tmp_path, path, value, message):
         (["cam_1", "rotation"], [0.1, 0.2], r"\[cam_1\]: rotation has shape \(2,\)"),
         (["cam_1", "translation"], "far", r"\[cam_1\]: 'translation' must hold numbers"),
         (["cam_1", "translation"], [0.0, 0.0, float("inf")], r"\[cam_1\]: 'translation' must be .* finite"),
-        (["cam_1", "distortions"], [0.0] * 8, r"\[cam_1\]: distortions has shape \(8,\)"),
+        (["cam_1", "distortions"], [0.0] * 7, r"\[cam_1\]: the distortion must be 4 or 5 finite numbers"),
+        (["cam_1", "distortions"], [0.1] * 8, r"\[cam_1\]: the lens has 8 coefficients, as OpenCV's rational model"),
         (["cam_1", "fisheye"], True, r"\[cam_1\]: a fish-eye lens cannot be read"),
     ],
 )

@@ -40,10 +40,23 @@ def test_landmark_pixels(tmp_path):
     np.testing.assert_array_equal(clicks.pixels[0], [[5, 6], [1, 2], [0, 0]])
 
 
+def test_points_that_were_not_clicked(tmp_path):
+    text = "name,cam_id,u,v\ndoor,b,1,2\ndoor,a,,\ntable,a,nan,nan\ntable,b,0,0\n"
+    clicks = read_landmark_pixels(write(tmp_path / "clicks.csv", text), ["a", "b"])
+    np.testing.assert_array_equal(clicks.visible, [[0, 1], [0, 1]])  # one click may lie in the corner, many do not
+    for place in ("0,0", "-1,-1"):
+        path = write(tmp_path / "clicks.csv", f"name,camera,x,y\ndoor,b,1,2\ndoor,a,{place}\ntable,a,{place}\n")
+        with pytest.raises(FileFormatError, match=r"2 points are clicked at one and the same pixel .*cells .* empty"):
+            read_landmark_pixels(path, ["a", "b"])
+
+
 def test_lengths(tmp_path):
     path = write(tmp_path / "lengths.csv", "name,end_a,end_b,length_m\nedge,p,q,1.25\n")
     lengths = read_lengths(path)
     assert (lengths.names, lengths.ends, lengths.length_m.tolist()) == (("edge",), (("p", "q"),), [1.25])
+    for column, value in (("length_mm", 1250), ("Length [cm]", 125), ("length (m)", 1.25)):
+        write(path, f"name,end_a,end_b,{column}\nedge,p,q,{value}\n")
+        assert read_lengths(path).length_m.tolist() == [1.25]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +66,7 @@ def test_lengths(tmp_path):
         (read_landmarks, "name,x_m,y_m,z_m\na,1,2,nan\n", "line 2: column 'z_m' is nan"),
         (read_landmarks, "name,x_m,y_m,z_m,sigma_m\na,1,2,3,0\n", "'sigma_m' is 0; it must be positive"),
         (read_landmarks, "name,x_m,y_m,z_m,sigma_m\na,1,2,3,\n", "'sigma_m' is empty"),
-        (read_landmarks, "name,x,y,z\na,1,2,3\n", "no column 'x_m'"),
+        (read_landmarks, "name,x,y,z\na,1,2,3\n", "no column 'x_m' .*unit of 'x': name it x_m, x_cm or x_mm"),
         (read_lengths, "name,end_a,end_b,length_m\na,p,q,-1\n", "'length_m' is -1; it must be positive"),
         (read_lengths, "name,end_a,end_b,length_m\na,p,p,1\n", "both ends are 'p'"),
         (lambda p: read_landmark_pixels(p, ["a"]), "name,camera,x,y\nd,b,1,2\n", "no camera 'b'; the cameras are a"),

@@ -125,8 +125,12 @@ def test_long_csv_finds_image_sizes(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("frame,time,cam,x,y\n1,0,a,1,2\n", r"has no column 'camera' \(it has frame, time, cam, x, y\)"),
-        ("frame;time;camera;x;y\n1;0;a;1;2\n", "separated by commas"),
+        ("frame,time,who,x,y\n1,0,a,1,2\n", r"has no column 'camera' \(it has frame, time, who, x, y\).*commas"),
+        ("frame camera x y\n1 a 1 2\n", "separated by commas"),
+        (
+            "1,a,2,3\n2,a,2,3\n",
+            r"starts with values \(1, a, 2, 3\), not names; its first line must be frame,camera,x,y",
+        ),
         ("frame,camera,x,y\n", "a header but no rows"),
         ("", "is empty; its first line must be frame,camera,x,y"),
         ("frame,camera,x,y\n1,a,2,3\n1,b,2\n", "line 3: 3 values under 4 columns"),
@@ -148,6 +152,39 @@ def test_broken_csv_says_where(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(FileFormatError, match=message):
         read_tracks(path, image_sizes=(640, 480))
+
+
+def test_times_have_the_unit_that_the_column_says(tmp_path):
+    path = tmp_path / "light.csv"
+    for column, a_second in (("time", 1), ("time_s", 1), ("time_ms", 10**3), ("time_us", 10**6), ("time_ns", 10**9)):
+        start = 1_700_000_000 * a_second
+        path.write_text(f"frame,{column},camera,x,y\n0,{start},a,1,2\n1,{start + a_second},a,3,4\n")
+        times = read_tracks(path, image_sizes=(64, 48)).times
+        assert times is not None
+        np.testing.assert_allclose(times, [1.7e9, 1.7e9 + 1], rtol=0, atol=1e-6)
+    path.write_text("frame,time_s,camera,x,y\n0,0,a,1,2\n1,60,a,3,4\n")  # a light put down here and there
+    assert read_tracks(path, image_sizes=(64, 48)).times is not None
+
+
+@pytest.mark.parametrize(("step", "unit"), [(33, "time_ms"), (33_333, "time_us"), (33_333_333, "time_ns")])
+def test_times_that_are_no_seconds_are_asked_for_their_unit(tmp_path, step, unit):
+    lines = [f"{frame},{step * frame},a,{frame},2" for frame in range(5)]
+    (tmp_path / "light.csv").write_text("\n".join(["frame,time,camera,x,y", *lines]))
+    with pytest.raises(FileFormatError, match=f"rises by .* from frame to frame.*name it {unit} if"):
+        read_tracks(tmp_path / "light.csv", image_sizes=(64, 48))
+
+
+def test_stand_ins_for_not_seen_are_no_lights(data_folder, tmp_path):
+    cases = data_folder.parent / "cases" / "08-missing-as-zero"
+    for name, place in (("00", "0, 0"), ("minus1", "-1, -1")):
+        with pytest.raises(FileFormatError, match=rf"has \d+ of 600 .*\({place}\).*leave the cells of x and y empty"):
+            read_tracks(cases / f"{name}.csv")
+    seen = read_tracks(cases / "nan.csv")
+    assert (seen.frames, int(seen.visible.sum())) == (600, 1915)
+    pixels = np.where(seen.visible[..., None], seen.pixels, 0.0)
+    save_tracks(tmp_path / "tracks.npz", Tracks.from_pixels(pixels, seen.image_sizes))
+    with pytest.raises(FileFormatError, match=r"at one and the same pixel, \(0, 0\)"):
+        read_tracks(tmp_path / "tracks.npz")
 
 
 def test_caliscope_corners(data_folder):
@@ -173,7 +210,7 @@ def test_what_is_no_tracks_file(tmp_path):
     with pytest.raises(FileFormatError, match="is no tracks file"):
         read_tracks(tmp_path / "tracks.mat")
     (tmp_path / "light.csv").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(FileFormatError, match="is not UTF-8 text"):
+    with pytest.raises(FileFormatError, match="is not UTF-16 text"):
         read_tracks(tmp_path / "light.csv")
 
 

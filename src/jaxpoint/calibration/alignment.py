@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.calibration.result import Calibration
+from jaxpoint.calibration.upright import Stand, check_centres, check_upright
 from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
@@ -90,12 +91,14 @@ def align_to_landmarks(
     *,
     names: Sequence[str] = (),
     camera_centres: Float[AnyArray, "C 3"] | None = None,
+    camera_rotations: Float[AnyArray, "C 3 3"] | None = None,
     method: str = "landmarks",
 ) -> Alignment:
     """The similarity that brings `points` of the solver's frame onto known `landmarks` of the room.
 
     With four or more landmarks that are not coplanar a fit that wants a mirror image is refused. With coplanar ones
-    both hands fit equally well: then the cameras must lie above the floor (z > 0), and `handedness_verified` is False.
+    both hands fit equally well, and `handedness_verified` is False. The cameras must stand upright and above the floor
+    (z > 0, or the lowest landmark), see `check_upright`.
 
     Args:
         points: solver's unit.
@@ -103,10 +106,11 @@ def align_to_landmarks(
         sigmas: standard deviation of each landmark's coordinates, m; weighs them.
         names: of the landmarks, for messages.
         camera_centres: of the rig, solver's unit.
+        camera_rotations: from the solver's frame to the cameras; they tell where up is.
 
     Raises:
-        InsufficientDataError: fewer than three landmarks, two at one place, all on a line, mirrored, or (coplanar)
-            most cameras below the floor.
+        InsufficientDataError: fewer than three landmarks, two at one place, all on a line, mirrored, or cameras below
+            the floor or not upright, with the turn that mends it.
         ValueError: shapes do not fit, a number is not finite, or a sigma is not positive.
     """
     points, landmarks = np.asarray(points, np.float64), np.asarray(landmarks, np.float64)
@@ -120,8 +124,8 @@ def align_to_landmarks(
         similarity = umeyama(points, landmarks, weights)
         residuals = np.linalg.norm(np.asarray(similarity @ points) - landmarks, axis=1)
         verified, warnings = _judge_hand(points, landmarks, weights, residuals)
-        if not verified and camera_centres is not None:
-            warnings += _check_above_floor(np.asarray(similarity @ np.asarray(camera_centres)), landmarks)
+        if camera_centres is not None:
+            warnings += _check_floor(similarity, camera_centres, camera_rotations, landmarks, verified)
         left_out = _leave_one_out(points, landmarks, weights)
     warnings += _suspicious(names, left_out, residuals, sigmas)
     return Alignment(
@@ -143,15 +147,33 @@ def align_to_camera_centres(
     sigmas: Float[AnyArray, " N"] | None = None,
     *,
     names: Sequence[str] = (),
+    camera_rotations: Float[AnyArray, "C 3 3"] | None = None,
+    all_centres: Float[AnyArray, "C 3"] | None = None,
 ) -> Alignment:
     """As `align_to_landmarks`, with measured places of the cameras (m) for landmarks.
 
+    Args:
+        centres: solver's unit.
+        known: m.
+        sigmas: standard deviation of each known coordinate, m; weighs them.
+        names: of these cameras, for messages.
+        camera_rotations: from the solver's frame to the cameras, of all of the rig.
+        all_centres: of all of the rig, solver's unit; those of `centres` where not given.
+
     Raises:
-        InsufficientDataError: fewer than three cameras, two at one place, all on a line, mirrored, or (coplanar)
-            most of them below the floor.
+        InsufficientDataError: fewer than three cameras, two at one place, all on a line, mirrored, or most of them
+            below the floor or not upright.
         ValueError: shapes do not fit, a number is not finite, or a sigma is not positive.
     """
-    return align_to_landmarks(centres, known, sigmas, names=names, camera_centres=centres, method="camera centres")
+    return align_to_landmarks(
+        centres,
+        known,
+        sigmas,
+        names=names,
+        camera_centres=centres if all_centres is None else all_centres,
+        camera_rotations=camera_rotations,
+        method="camera centres",
+    )
 
 
 def align_to_floor(
@@ -306,23 +328,20 @@ def _judge_hand(
     if rms_mirrored < rms:
         raise InsufficientDataError(
             f"The landmarks fit a mirror image (rms {1e3 * rms_mirrored:.1f} mm) better than the room "
-            f"(rms {1e3 * rms:.1f} mm): their axes are left-handed or names are swapped. Turn one axis round, z up."
+            f"(rms {1e3 * rms:.1f} mm): their axes are left-handed, or names are swapped. Write them "
+            "right-handed with z up: (x, y, z) -> (x, -y, z) where z points up already."
         )
     return True, ()
 
 
-def _check_above_floor(centres: np.ndarray, landmarks: np.ndarray) -> tuple[str, ...]:
-    """Refuses cameras (m, room) most of which are below the floor; a warning where some lie below the landmarks."""
-    below = int((centres[:, 2] < min(0.0, landmarks[:, 2].min())).sum())
-    if 2 * below > len(centres):
-        raise InsufficientDataError(
-            f"{below} of {len(centres)} cameras come out below the floor (z = 0): the landmarks' axes are left-handed "
-            "or z points down. Turn one axis round, z up."
-        )
-    lower = int((centres[:, 2] < landmarks[:, 2].mean()).sum())
-    if 2 * lower > len(centres):
-        return (f"{lower} of {len(centres)} cameras come out lower than the landmarks; check that z points up.",)
-    return ()
+def _check_floor(
+    similarity: Similarity, centres: AnyArray, rotations: AnyArray | None, landmarks: np.ndarray, verified: bool
+) -> tuple[str, ...]:
+    placed = np.asarray(similarity @ np.asarray(centres))
+    if rotations is None:
+        return check_centres(placed, landmarks)
+    turned = np.asarray(rotations) @ np.asarray(similarity.rotation).T
+    return check_upright(Stand.of(placed, turned), landmarks, right_handed=verified)
 
 
 def _leave_one_out(points: np.ndarray, landmarks: np.ndarray, weights: np.ndarray) -> tuple[float | None, ...]:

@@ -25,6 +25,7 @@ from scipy.stats import chi2
 
 from jaxpoint.calibration.alignment import transformed_covariance, umeyama
 from jaxpoint.calibration.expected import moved_by_cameras, parallax
+from jaxpoint.calibration.middle import far_middle, near, rig_about
 from jaxpoint.calibration.sight import centres, derivatives_perturbed, in_view, poses, project
 from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, centres_by_numbers
 from jaxpoint.camera.camera import PARAMETERS
@@ -250,6 +251,10 @@ def _allowed(
     first: CameraRig, second: CameraRig, joint: np.ndarray, places: np.ndarray, seen: np.ndarray, weights
 ) -> Allowed:
     """What the sum of both covariances lets expect; `weights` are those of the alignment, None without one."""
+    if (middle := far_middle(places)).any():
+        second = rig_about(second, middle)
+        first, joint = near(first, joint, middle)
+        places = places - middle
     count, apart = len(first), _numbers_apart(first, second).ravel()
     by_camera, _ = derivatives_perturbed(first, places, seen)
     ways = camera_ways(first).reshape(-1, FREEDOMS)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxpoint.calibration.middle import far_middle, near
 from jaxpoint.calibration.sight import centres, covariance_of_points, cross_terms, derivatives_perturbed, in_view
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.triangulation import MIN_PARALLAX
@@ -50,6 +51,9 @@ def expected_error(
         covariance: of the cameras, D = 15 C, in the order of `Camera.perturbed`.
         sigma_px: standard deviation of one pixel coordinate of the places' own observations.
     """
+    middle = far_middle(places)
+    rig, covariance = near(rig, covariance, middle)
+    places = places - middle
     seen = in_view(rig, places)
     parts = [moved_by_cameras(rig, places[some], seen[some]) for some in _blocks(len(places))]
     calibration = [_trace(moved, covariance) for moved, _ in parts]
@@ -90,6 +94,9 @@ def gains(
         variance_px2: of one coordinate of a believed observation of the light, see `uncertainty.variance_px2`.
         places: of the room, over which the mean is taken; those that are not known are left out.
     """
+    middle = far_middle(places)
+    rig, covariance = near(rig, covariance, middle)
+    places, parts = places - middle, parts - middle
     now = expected_error(rig, covariance, sigma_px, places)
     places, before = places[now.known], now.total[now.known]
     if not len(places):

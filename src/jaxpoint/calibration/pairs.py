@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxpoint.calibration.result import PairTable
+from jaxpoint.calibration.stuck import refuse_stuck
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.tracks import Tracks
 
@@ -30,7 +31,8 @@ def check_pairs(tracks: Tracks, table: PairTable, *, known_intrinsics: bool = Fa
 
     Raises:
         InsufficientDataError: too few cameras or frames, a camera that shares too little, cameras that fall into
-            unconnected groups, identical cameras, a light that hardly moves or stays in one corner of an image.
+            unconnected groups, identical cameras, a light that hardly moves or stays in one corner of an image, or
+            many sightings at one and the same pixel.
             The message names the camera and what to record.
     """
     needed = 2 if known_intrinsics else 3
@@ -46,6 +48,7 @@ def check_pairs(tracks: Tracks, table: PairTable, *, known_intrinsics: bool = Fa
             "was in several views at once, their frame numbers do not belong together (`jaxpoint check`); else wave it "
             "longer where the views overlap."
         )
+    refuse_stuck(tracks)
     _check_shared(table)
     _check_connected(table)
     _check_motion(tracks, table)
@@ -90,6 +93,11 @@ def _check_motion(tracks: Tracks, table: PairTable) -> None:
         seen = tracks.pixels[tracks.visible[:, camera], camera]
         spread = np.sqrt(np.linalg.eigvalsh(np.cov(seen.T)))  # px, along the two main directions
         width = tracks.image_sizes[camera, 0]
+        if (seen == seen[0]).all():
+            raise InsufficientDataError(
+                f"Camera '{name}' has all its {len(seen)} sightings at one and the same pixel ({seen[0, 0]:g}, "
+                f"{seen[0, 1]:g}): its images are frozen, or that pixel is hot; record anew, or drop the camera."
+            )
         if spread[1] < 0.005 * width:
             raise InsufficientDataError(
                 f"The light hardly moves in camera '{name}': its pixels spread by {spread[1]:.1f} px (1 sd) of "

@@ -29,6 +29,7 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import exp1
 
 from jaxpoint.calibration.bundle import SIZE
+from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import (
@@ -169,7 +170,9 @@ def uncertainty_of(calibration: Calibration, anchors: Anchors | None = None) -> 
 
 
 def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | None) -> Uncertainty:
-    rig, size = calibration.rig, PARAMETERS * len(calibration.rig)
+    world, size = calibration.rig, PARAMETERS * len(calibration.rig)
+    calibration, middle = about_its_middle(calibration)
+    rig = calibration.rig
     weighed = freedom.at_noise(calibration.sigma_px)
     anchoring = _inner(calibration) if anchors is None else _outer(calibration, anchors)
     found = _adjusted(calibration, weighed, anchoring, variance_px2(calibration))
@@ -182,9 +185,10 @@ def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | 
     covariance = found.cameras.reshape(len(rig), SIZE, size)
     covariance = (turn @ covariance).reshape(size, len(rig), SIZE)
     covariance = np.einsum("dcp,cqp->dcq", covariance, turn).reshape(size, size)
+    covariance = covariance_about(world, covariance, -middle)
     gauge = "free" if anchors is None else "landmarks"
     points, sigma = jnp.asarray(found.points), jnp.asarray(calibration.sigma_px)
-    return Uncertainty(rig, jnp.asarray(covariance), points, sigma, gauge)
+    return Uncertainty(world, jnp.asarray(covariance), points, sigma, gauge)
 
 
 def variance_px2(calibration: Calibration) -> float:

@@ -14,7 +14,11 @@ from jaxpoint.config import AlignSettings, RoomConfig
 from jaxpoint.errors import UsageError
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from jaxpoint.calibration.alignment import Alignment
     from jaxpoint.calibration.result import Calibration
+    from jaxpoint.landmarks import LandmarkPixels, Landmarks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,38 +65,96 @@ def aligned(calibration: Calibration, settings: AlignSettings) -> Calibration:
     Raises:
         UsageError: none or more than one kind of knowledge is given.
         FileFormatError: a file is not what it should be.
-        InsufficientDataError: a point cannot be placed, or the points do not determine the room.
+        InsufficientDataError: too few points can be placed, they do not determine the room, or axes or unit are wrong.
     """
-    from jaxpoint.calibration.alignment import align_to_camera_centres, align_to_floor, align_to_landmarks
     from jaxpoint.calibration.covariance import aligned_with_covariance
-    from jaxpoint.io.known import read_camera_centres, read_landmark_pixels, read_landmarks
-    from jaxpoint.landmarks import CLICK_SIGMA_PX, locate
+    from jaxpoint.calibration.upright import check_size
+    from jaxpoint.io.known import read_landmark_pixels
+    from jaxpoint.landmarks import CLICK_SIGMA_PX
 
     kinds = [settings.landmarks is not None, settings.camera_centres is not None, bool(settings.floor)]
     if sum(kinds) != 1:
         raise UsageError("Give one of --landmarks, --camera-centres and --floor; they are different ways to align.")
-    cameras = calibration.rig.names
-    clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, cameras)
-    warnings: tuple[str, ...] = ()
-    sigmas = None
-    centres, _ = locate(calibration, cameras)
-    if settings.landmarks is not None:
-        known = read_landmarks(settings.landmarks)
-        points, warnings = locate(calibration, known.names, clicks)
-        sigmas = known.sigmas
-        found = align_to_landmarks(points, known.points, sigmas, names=known.names, camera_centres=centres)
-    elif settings.camera_centres is not None:
-        known = read_camera_centres(settings.camera_centres, cameras)
-        points, _ = locate(calibration, known.names)
-        absent = [name for name in cameras if name not in known.names]
-        if absent:
-            warnings = (f"'{settings.camera_centres}' does not have {', '.join(absent)}: aligned without.",)
-        sigmas = known.sigmas
-        found = align_to_camera_centres(points, known.points, sigmas, names=known.names)
-    elif settings.length_m is None:
+    names = calibration.rig.names
+    clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, names)
+    way = _by_landmarks if settings.landmarks else _by_centres if settings.camera_centres else _by_floor
+    found, known = way(calibration, settings, clicks)
+    wide = check_size(_placed(found, _cameras(calibration)[0]), known.points, settings.max_extent_m)
+    found = replace(found, warnings=(*found.warnings, *wide))
+    return aligned_with_covariance(calibration, found, known.sigmas, clicks, CLICK_SIGMA_PX)
+
+
+def _by_landmarks(
+    calibration: Calibration, settings: AlignSettings, clicks: LandmarkPixels | None
+) -> tuple[Alignment, Landmarks]:
+    """By points whose place is known; those that the calibration does not have are left out."""
+    from jaxpoint.calibration.alignment import align_to_landmarks
+    from jaxpoint.io.known import read_landmarks
+    from jaxpoint.landmarks import locate_some
+
+    assert settings.landmarks is not None
+    known, points, warnings = locate_some(calibration, read_landmarks(settings.landmarks), clicks)
+    centres, rotations = _cameras(calibration)
+    found = align_to_landmarks(
+        points, known.points, known.sigmas, names=known.names, camera_centres=centres, camera_rotations=rotations
+    )
+    return replace(found, warnings=(*found.warnings, *warnings)), known
+
+
+def _by_centres(
+    calibration: Calibration, settings: AlignSettings, clicks: LandmarkPixels | None
+) -> tuple[Alignment, Landmarks]:
+    """By known places of cameras; some may be missing."""
+    from jaxpoint.calibration.alignment import align_to_camera_centres
+    from jaxpoint.io.known import read_camera_centres
+    from jaxpoint.landmarks import locate
+
+    assert settings.camera_centres is not None
+    names = calibration.rig.names
+    known = read_camera_centres(settings.camera_centres, names, settings.unit)
+    centres, rotations = _cameras(calibration)
+    found = align_to_camera_centres(
+        locate(calibration, known.names)[0],
+        known.points,
+        known.sigmas,
+        names=known.names,
+        camera_rotations=rotations,
+        all_centres=centres,
+    )
+    absent = ", ".join(name for name in names if name not in known.names)
+    warnings = (f"'{settings.camera_centres}' does not have {absent}: aligned without.",) if absent else ()
+    return replace(found, warnings=(*found.warnings, *warnings)), known
+
+
+def _by_floor(
+    calibration: Calibration, settings: AlignSettings, clicks: LandmarkPixels | None
+) -> tuple[Alignment, Landmarks]:
+    """By points on the floor and one length."""
+    from jaxpoint.calibration.alignment import align_to_floor
+    from jaxpoint.landmarks import Landmarks, locate
+
+    if settings.length_m is None:
         raise UsageError("--floor needs the distance between its first two points: --length-m METRES.")
-    else:
-        points, warnings = locate(calibration, settings.floor, clicks)
-        found = align_to_floor(points, centres, settings.length_m, names=settings.floor)
-    found = replace(found, warnings=(*found.warnings, *warnings))
-    return aligned_with_covariance(calibration, found, sigmas, clicks, CLICK_SIGMA_PX)
+    points, warnings = locate(calibration, settings.floor, clicks)
+    found = align_to_floor(points, _cameras(calibration)[0], settings.length_m, names=settings.floor)
+    known = Landmarks(settings.floor, _placed(found, points))
+    return replace(found, warnings=(*found.warnings, *warnings)), known
+
+
+def _cameras(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of the cameras and rotations to them, in the calibration's frame."""
+    import jax
+    import numpy as np
+
+    with jax.enable_x64(True):
+        rig = calibration.rig
+        return np.asarray(rig.positions), np.asarray(rig.cameras.cam_from_world.rotation)
+
+
+def _placed(alignment: Alignment, points: np.ndarray) -> np.ndarray:
+    """Points of the calibration's frame in the room, m."""
+    import jax
+    import numpy as np
+
+    with jax.enable_x64(True):
+        return np.asarray(alignment.similarity @ points)

@@ -15,7 +15,7 @@ from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
-from jaxpoint.config import Count, RoomConfig
+from jaxpoint.config import Count, RoomConfig, Unit
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
@@ -46,6 +46,8 @@ class DetectMarker(SeededOptions):
     """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the moment."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    unit: Unit = None
+    """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the tables; parquet needs pyarrow."""
     cache: Path | None = None
@@ -81,7 +83,7 @@ class DetectMarker(SeededOptions):
 
         out = self.needed_folder("marker-run")
         check_table_path(out / f"detections.{self.format}")
-        session = open_session(self.session, self.calibration)
+        session = open_session(self.session, self.calibration, self.unit)
         samples = read_marker_samples(self.samples, session, self.marker.sample_radius_px)
         model = learn_marker(session, samples, self.marker)
         kept = self.cache or default_cache()

@@ -14,9 +14,9 @@ import tyro
 
 from jaxpoint.commands.console import Console, table
 from jaxpoint.commands.inputs import hush_opencv
-from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest
+from jaxpoint.commands.nothing_found import OF_THIS_ROOM, commonest, nobody_followed, remedy_of_heights
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
-from jaxpoint.config import Count, Fraction, RoomConfig
+from jaxpoint.config import Count, Fraction, RoomConfig, Unit
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
@@ -43,6 +43,8 @@ class DetectPerson(SeededOptions):
     """Folder of the session, or of its videos."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    unit: Unit = None
+    """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     landmarks: Path | None = None
     """What a pose estimator found, instead of the images: a CSV file with frame, camera, name, x, y, confidence, and
     person where there are several."""
@@ -73,12 +75,13 @@ class DetectPerson(SeededOptions):
 
         out = self.needed_folder("person-run")
         check_table_path(out / f"detections.{self.format}")
-        session = open_session(self.session, self.calibration)
+        session = open_session(self.session, self.calibration, self.unit)
         with console.progress() as progress:
             views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
         missing: list[str] = []
         figures = _write(self, out, session, views, following, missing)
-        return Outcome(figures, _lines(figures, out), _failure(self, figures), tuple(missing))
+        failure = _failure(self, figures, _remedy(self, session, views, following))
+        return Outcome(figures, _lines(figures, out), failure, tuple(missing))
 
 
 def _seen(
@@ -212,7 +215,18 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
-def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientDataError | None:
+def _remedy(
+    command: DetectPerson, session: Session, views: tuple[CameraViews, ...], following: Following | None
+) -> str:
+    """What helps where nobody could be followed."""
+    if following is None or len(following.tracking.heads.people):
+        return OF_THIS_ROOM
+    return remedy_of_heights(session, views, command.track)
+
+
+def _failure(
+    command: DetectPerson, figures: dict[str, Any], remedy: str = OF_THIS_ROOM
+) -> InsufficientDataError | None:
     cameras = figures["cameras"]
     if not any(camera["with_person"] for camera in cameras):
         nobody = f"Nobody was found in {figures['moments']} moments of {len(cameras)} cameras; "
@@ -221,7 +235,10 @@ def _failure(command: DetectPerson, figures: dict[str, Any]) -> InsufficientData
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
     if figures["people"] or not figures["followed"]:
         return None
-    return _unfollowed(command, cameras)
+    heads = [camera["heads"] for camera in cameras]
+    if sum(count > 0 for count in heads) < 2:
+        return _unfollowed(command, cameras)
+    return nobody_followed(heads, command.track, remedy)
 
 
 def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
@@ -239,10 +256,7 @@ def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> 
             f"{failed}, though they show somebody; heads must be inside the images, and between --head.nearest-m "
             f"({command.settings.head.nearest_m:g}) and --head.farthest-m ({command.settings.head.farthest_m:g}) away."
         )
-    if len(heads) == 1:
-        return InsufficientDataError(
-            f"{failed}, and it takes two that see the same head: turn the views so that they overlap, and see in the "
-            "table what stood in the way in the others."
-        )
-    agreed, of = command.track.confirm
-    return InsufficientDataError(f"{failed}, and two must agree on one in {agreed} of {of} moments. {OF_THIS_ROOM}")
+    return InsufficientDataError(
+        f"{failed}, and it takes two that see the same head: turn the views so that they overlap, and see in the table "
+        "what stood in the way in the others."
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from jaxpoint.tracks import Tracks
 
 
+logger = logging.getLogger(__name__)
 MAX_OUTSIDE = 0.05  # fraction of a camera's lights
 
 
@@ -50,11 +52,13 @@ def _check_inside(tracks: Tracks, path: Path) -> None:
 def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None:
     """Known lenses in the order of the tracks' cameras, or None where no file was given.
 
+    Lenses of images of another size but the same shape are scaled, with a warning.
+
     Raises:
         FileFormatError: the file is not what it should be.
-        UsageError: a camera is missing in it, or has another image size there.
+        UsageError: a camera is missing in it, or has images of another shape there.
     """
-    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.calibration import read_lenses
     from jaxpoint.io.svoboda import read_rad_folder
 
     path = settings.intrinsics
@@ -62,15 +66,41 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
         return None
     if path.is_dir() and any(path.glob("*.rad")):
         return read_rad_folder(path, tracks.image_sizes, tracks.names, settings.one_based)
-    rig = read_calibration(path).rig
-    missing = [name for name in tracks.names if name not in rig.names]
-    if missing:
-        raise UsageError(f"'{path}' has no camera '{missing[0]}'; it has {', '.join(rig.names)}.")
-    rig = rig.select([rig.names.index(name) for name in tracks.names])
-    for name, given, size in zip(tracks.names, rig.image_sizes.tolist(), tracks.image_sizes.tolist()):
-        if given != size:
-            raise UsageError(f"Camera '{name}' has images of {size} px, but '{path}' knows it with {given} px.")
-    return rig
+    return _fitted(path, _in_order(path, read_lenses(path), tracks, settings.intrinsics_by_order), tracks)
+
+
+def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> CameraRig:
+    """The lenses of the tracks' cameras under their names."""
+    from jaxpoint.camera.rig import CameraRig
+    from jaxpoint.io.lenses import match_names
+
+    places = list(range(len(rig))) if by_order else match_names(tracks.names, rig.names)
+    if places is None or len(places) != len(tracks.names):
+        alike = len(rig) == len(tracks.names) and not by_order
+        remedy = "name them alike" + (", or give --intrinsics-by-order" if alike else "; every camera needs a lens")
+        raise UsageError(
+            f"'{path}' has the cameras {', '.join(rig.names)}, but the tracks have {', '.join(tracks.names)}: {remedy}."
+        )
+    chosen = rig.select(places)
+    return CameraRig(chosen.cameras, chosen.image_sizes, tracks.names)
+
+
+def _fitted(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:
+    """The lenses at the size of the tracks' images."""
+    from jaxpoint.io.lenses import scaled
+
+    known, wanted = rig.image_sizes.tolist(), tracks.image_sizes.tolist()
+    if known == wanted:
+        return rig
+    for name, (width, height), (wide, high) in zip(tracks.names, known, wanted):
+        if abs(width * high - height * wide) > max(wide, high):  # a pixel's rounding of either side is none
+            raise UsageError(
+                f"Camera '{name}' has images of {wide} x {high} px, but '{path}' knows its lens for {width} x {height}:"
+                " another shape, so cropped or of another mode; calibrate that lens in the mode that was recorded."
+            )
+    by = sorted({f"{wide / width:.3g}" for (width, _), (wide, _) in zip(known, wanted)})
+    logger.warning("The lenses of '%s' are for images of another size and were scaled by %s.", path, " and ".join(by))
+    return scaled(rig, tracks.image_sizes)
 
 
 def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:

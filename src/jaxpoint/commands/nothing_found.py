@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from jaxpoint.errors import InsufficientDataError
+
+if TYPE_CHECKING:
+    from jaxpoint.config.track import TrackSettings
+    from jaxpoint.io.session import Session
+    from jaxpoint.person.views import CameraViews
 
 _FAINT = (
     "A lower --background.threshold finds people coloured like the room; a recording of the empty room (empty/) "
@@ -39,3 +46,21 @@ def commonest(cameras: Sequence[Mapping[str, Any]], otherwise: str = "") -> str:
     (reason, count), *_ = reasons.most_common(1)
     frames = sum(camera["frames"] for camera in cameras)
     return f"most often '{reason}' ({count} of {frames}). {REMEDIES.get(reason, otherwise)}"
+
+
+def nobody_followed(heads: Sequence[int], settings: TrackSettings, remedy: str) -> InsufficientDataError:
+    """The error where cameras see so many heads each and no head could be followed in the room."""
+    agreed, of = settings.confirm
+    return InsufficientDataError(
+        f"Nobody could be followed in the room: {sum(heads)} heads were seen by {sum(map(bool, heads))} of {len(heads)}"
+        f" cameras, and two must agree on one in {agreed} of {of} moments. {remedy}"
+    )
+
+
+def remedy_of_heights(session: Session, views: Sequence[CameraViews], settings: TrackSettings) -> str:
+    """What the height of the heads says of unit and axes, else what to look for."""
+    from jaxpoint.person.heights import head_height, height_remedy
+
+    assert session.rig is not None
+    height = head_height(session.rig, views, len(session.moments))
+    return height_remedy(height, *settings.height_m) or OF_THIS_ROOM

@@ -11,7 +11,7 @@ import tyro
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.inputs import check_no_out
 from jaxpoint.commands.options import Options, Outcome
-from jaxpoint.config import RoomConfig
+from jaxpoint.config import RoomConfig, Unit
 from jaxpoint.errors import FileFormatError, UsageError
 
 if TYPE_CHECKING:
@@ -48,6 +48,8 @@ class ObjectsAdd(Options):
     """CSV of clicked corners, camera,corner,x,y, instead of `--corners`; needs `--calibration`."""
     calibration: Path | None = None
     """The room's cameras in metres, with `--views`: a calibration.json or the folder of a run."""
+    unit: Unit = None
+    """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> ObjectsAdd:
@@ -67,7 +69,7 @@ class ObjectsAdd(Options):
             raise UsageError("Give either --corners (twelve numbers, m) or --views with --calibration.")
         sigma, source = None, "measured"
         if self.views is not None:
-            corners, sigma, count = _clicked(self.views, self.calibration)
+            corners, sigma, count = _clicked(self.views, self.calibration, self.unit)
             source = f"clicked in {count} views; one standard deviation of a corner is {1000 * sigma:.1f} mm"
         elif len(self.corners) == 12:
             corners = np.reshape(self.corners, (4, 3))
@@ -91,20 +93,19 @@ class ObjectsAdd(Options):
         return Outcome(figures, (line, *warnings))
 
 
-def _clicked(views: Path, calibration: Path | None) -> tuple[np.ndarray, float, int]:
+def _clicked(views: Path, calibration: Path | None, unit: str | None) -> tuple[np.ndarray, float, int]:
     """Corners (m), the largest standard deviation of one in any direction (m), and how many cameras took part."""
     import numpy as np
 
     from jaxpoint.io.calibration import read_calibration
     from jaxpoint.io.files import read_table
+    from jaxpoint.io.rig_entries import needs_metres
     from jaxpoint.landmarks import CLICK_SIGMA_PX, MISCLICK_PX
     from jaxpoint.triangulation import triangulate
 
     if calibration is None:
         raise UsageError("--views needs the cameras: --calibration FILE, a calibration.json or the folder of a run.")
-    saved = read_calibration(calibration)
-    if saved.unit != "m":
-        raise UsageError(f"'{calibration}' has no metric scale (unit '{saved.unit}'); align it by `jaxpoint align`.")
+    saved = needs_metres(calibration, read_calibration(calibration), unit)
     rig = saved.rig
     pixels, seen = np.zeros((4, len(rig), 2)), np.zeros((4, len(rig)), bool)
     for row in read_table(views, ("camera", "corner", "x", "y")):

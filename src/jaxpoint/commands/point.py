@@ -13,7 +13,7 @@ import tyro
 from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
-from jaxpoint.config import Count, Fraction, RoomConfig
+from jaxpoint.config import Count, Fraction, RoomConfig, Unit
 from jaxpoint.config.person import PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.track import TrackSettings
@@ -45,6 +45,8 @@ class Point(SeededOptions):
     """What can be pointed at, a .csv or .toml; by default the session's own objects.csv."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    unit: Unit = None
+    """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     landmarks: Path | None = None
     """What a pose estimator found, instead of the images: CSV, as `detect person --landmarks` takes it."""
     min_confidence: Fraction = 0.3
@@ -122,11 +124,13 @@ class Point(SeededOptions):
         from jaxpoint.answer.hypotheses import correction_of
         from jaxpoint.answer.pipeline import check_session, pointed, room_of, scene_of
         from jaxpoint.answer.words import read_times, read_words
+        from jaxpoint.commands.nothing_found import nobody_followed, remedy_of_heights
         from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.io.session import open_session
+        from jaxpoint.person.views import head_found
 
-        session = open_session(self.session, self.calibration)
+        session = open_session(self.session, self.calibration, self.unit)
         check_session(session)
         assert session.rig is not None
         scene, database = scene_of(self._objects_file(), room_of(self.settings.room))
@@ -142,6 +146,9 @@ class Point(SeededOptions):
             session = replace(session, rig=rig, calibration=None)
             assert session.rig is not None
         views, following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
+        if not len(following.tracking.heads.people):
+            heads = [int(head_found(view).sum()) for view in views]
+            raise nobody_followed(heads, self.track, remedy_of_heights(session, views, self.track))
         found = pointed(
             session,
             following,

@@ -15,7 +15,7 @@ from jaxpoint.config.room import (
     ValidateSettings,
     load_config,
 )
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, Unit
 
 __all__ = [
     "AlignSettings",
@@ -31,6 +31,7 @@ __all__ = [
     "Positive",
     "RoomConfig",
     "RuntimeSettings",
+    "Unit",
     "ValidateSettings",
     "checked",
     "load_config",

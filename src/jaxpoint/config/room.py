@@ -15,7 +15,7 @@ from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.point import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.config.track import TrackSettings
-from jaxpoint.config.types import Count, Fraction, Positive
+from jaxpoint.config.types import Count, Fraction, Positive, Unit
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,10 @@ class InputSettings:
     timestamps: Path | None = None
     """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None
-    """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
+    """Known lenses, with or without poses: a calibration.json or .toml, Kalibr's or OpenCV's .yaml, or a folder of
+    OpenCV's .yaml or of *.rad files; see `lens.known`."""
+    intrinsics_by_order: bool = False
+    """The known lenses are in the order of the cameras, whatever their names."""
 
 
 @dataclass(frozen=True)
@@ -142,12 +145,14 @@ class AlignSettings:
     """What is known in metres about the room; give one of landmarks, camera centres, or floor."""
 
     landmarks: Path | None = None
-    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]`. A name is a point in `landmark_pixels`, else a camera, else
-    the number of a frame (the light was there)."""
+    """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]` (or x_cm, x_mm, ...), z up. A name is a point in
+    `landmark_pixels`, else a camera, else the number of a frame (the light was there)."""
     landmark_pixels: Path | None = None
     """CSV of points clicked in two or more images, `name,camera,x,y`."""
     camera_centres: Path | None = None
     """Known camera positions: CSV in the form of `landmarks`, a calibration file, or a .dat with one row a camera."""
+    unit: Unit = None
+    """Unit of camera centres from a file that does not say it, m, cm or mm."""
     floor: tuple[str, ...] = ()
     """Three or more points on the floor, named as in `landmarks`: the first becomes the origin, x points to the
     second."""
@@ -155,6 +160,8 @@ class AlignSettings:
     """With `floor`: distance between its first two points."""
     max_rms_mm: Positive = 50.0
     """Quality gate: a larger rms residual fails the alignment (results are kept and marked)."""
+    max_extent_m: Positive = 300.0
+    """Cameras and known points that spread wider than this are refused as given in another unit."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Numbers with a range, checked when settings are read."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
@@ -10,6 +10,7 @@ Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Fraction = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=0)]
+Unit = Literal["m", "cm", "mm"] | None
 
 
 def check_not_above(low_key: str, low: float, high_key: str, high: float) -> None:

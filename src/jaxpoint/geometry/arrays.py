@@ -18,6 +18,17 @@ def as_float(values: Any) -> Float[Array, "..."]:
     Raises:
         ValueError: the values are float64 and JAX would cut them to float32.
     """
+    check_whole(values)
+    array = jnp.asarray(values)
+    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+
+
+def check_whole(values: Any) -> None:
+    """Refuse float64 where JAX would cut it to float32.
+
+    Raises:
+        ValueError: it would.
+    """
     cuts = jnp.result_type(float) != np.float64
     if cuts and isinstance(values, np.ndarray | jax.Array) and values.dtype == np.float64:
         raise ValueError(
@@ -25,8 +36,27 @@ def as_float(values: Any) -> Float[Array, "..."]:
             'call jax.config.update("jax_enable_x64", True) or work within `with jax.enable_x64(True):`, '
             "or hand over float32 on purpose."
         )
-    array = jnp.asarray(values)
-    return array if jnp.issubdtype(array.dtype, jnp.floating) else array.astype(float)
+
+
+def widest(*trees: Any) -> np.dtype:
+    """The precision of the most precise floating array in the trees; JAX's default where there is none."""
+    leaves = [leaf.dtype for tree in trees for leaf in jax.tree.leaves(tree) if _is_floating(leaf)]
+    return jnp.result_type(*leaves) if leaves else jnp.result_type(float)
+
+
+def promote(*trees: Any) -> tuple[Any, ...]:
+    """The trees as JAX arrays, with all floating ones in the precision of the most precise.
+
+    Raises:
+        ValueError: one is float64 and JAX would cut it to float32.
+    """
+    whole = jax.tree.map(lambda leaf: as_float(leaf) if _is_floating(leaf) else leaf, trees)
+    dtype = widest(whole)
+    return jax.tree.map(lambda leaf: leaf.astype(dtype) if _is_floating(leaf) else leaf, whole)
+
+
+def _is_floating(leaf: Any) -> bool:
+    return hasattr(leaf, "dtype") and jnp.issubdtype(leaf.dtype, jnp.floating)
 
 
 def stack_last(*components: Array) -> Array:

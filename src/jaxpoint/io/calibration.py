@@ -28,23 +28,32 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import cv2
-import jax
 import msgspec
 import numpy as np
 import tomli_w
 from jaxtyping import Float
 
 from jaxpoint.calibration.result import TimeOffsets
-from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.files import StrPath, natural_key, read_text, replacing
+from jaxpoint.io.files import UNITS, StrPath, natural_key, read_text, replacing
+from jaxpoint.io.lenses import YAML, brown_coefficients, read_yaml_lenses, refuse_other_model
 from jaxpoint.io.qualisys import read_qualisys
+from jaxpoint.io.rig_entries import (
+    UNSTATED,
+    CameraEntry,
+    SavedCalibration,
+    check_entry,
+    check_finite_numbers,
+    entries_of,
+    in_metres,
+    rig_of_entries,
+    tuples,
+)
 
 CALIBRATION_FORMAT = "jaxpoint-calibration"
 CALIBRATION_VERSION = 1
@@ -52,18 +61,6 @@ CAMERA_PARAMETERS = (
     "rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z",
     "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
 )  # fmt: skip
-
-Vector3 = tuple[float, float, float]
-Matrix3 = tuple[Vector3, Vector3, Vector3]
-
-
-class _CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
-    name: str
-    size: tuple[int, int]
-    K: Matrix3
-    distortion: tuple[float, float, float, float, float]
-    rotation: Matrix3
-    translation: Vector3
 
 
 class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
@@ -81,22 +78,21 @@ class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
     format: str
     version: int
     unit: str
-    cameras: list[_CameraEntry]
+    cameras: list[CameraEntry]
     covariance: _CovarianceEntry | None = None
     provenance: dict[str, Any] = {}
     time_offsets: _TimeOffsetsEntry | msgspec.UnsetType = msgspec.UNSET
 
 
-@dataclass(frozen=True)
-class SavedCalibration:
-    """A rig as it stood in a file."""
+def read_lenses(path: StrPath) -> CameraRig:
+    """Known lenses, from whatever `read_calibration` reads, with or without poses, or from YAML (`read_yaml_lenses`).
 
-    rig: CameraRig
-    unit: str = "m"  # of the translations: "m" or "arbitrary"
-    covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
-    gauge: str | None = None  # what holds its frame: "free" or "landmarks"
-    provenance: dict[str, Any] = field(default_factory=dict)
-    time_offsets: TimeOffsets | None = None
+    Raises:
+        FileFormatError: it is none of these, a value is missing or wrong, or a lens is of a model that is not known.
+    """
+    path = Path(path)
+    yaml = path.suffix.lower() in YAML or (path.is_dir() and any(f.suffix.lower() in YAML for f in path.iterdir()))
+    return read_yaml_lenses(path) if yaml else _read(path, poses=False).rig
 
 
 def read_calibration(path: StrPath) -> SavedCalibration:
@@ -105,16 +101,24 @@ def read_calibration(path: StrPath) -> SavedCalibration:
     Raises:
         FileFormatError: it is none of these, or a value is missing or wrong (the message gives its path).
     """
-    path = Path(path)
+    return _read(Path(path), poses=True)
+
+
+def _read(path: Path, poses: bool) -> SavedCalibration:
     if path.is_dir():
         path = path / "calibration.json"
-    if path.suffix == ".json":
-        return read_calibration_json(path)
-    if path.suffix == ".toml":
-        return read_camera_array(path) if "cameras" in _read_toml(path) else read_calibration_toml(path)
-    if path.name.endswith(".qca.txt"):
+    if path.suffix.lower() == ".json":
+        return read_calibration_json(path, poses)
+    if path.suffix.lower() == ".toml":
+        return read_camera_array(path, poses) if "cameras" in _read_toml(path) else read_calibration_toml(path, poses)
+    if path.name.lower().endswith(".qca.txt"):
         return SavedCalibration(read_qualisys(path))
-    raise FileFormatError(f"{path} is no calibration; give a calibration.json, a .toml, a .qca.txt, or a run's folder.")
+    if not path.exists():
+        raise FileFormatError(f"There is no file {path}; check the path.")
+    lens = " (YAML of lenses goes to `jaxpoint calibrate --intrinsics`)" if path.suffix.lower() in YAML else ""
+    raise FileFormatError(
+        f"{path} is no calibration; give a calibration.json, a .toml, a .qca.txt, or a run's folder{lens}."
+    )
 
 
 def write_calibration_json(
@@ -142,7 +146,7 @@ def write_calibration_json(
     size = len(CAMERA_PARAMETERS) * len(rig)
     if covariance is not None and np.shape(covariance) != (size, size):
         raise ValueError(f"The covariance is {np.shape(covariance)}; {len(rig)} cameras need {(size, size)}.")
-    _check_finite("covariance", covariance if covariance is not None else 0.0)
+    check_finite_numbers("covariance", covariance if covariance is not None else 0.0)
     entry = None
     if covariance is not None:
         entry = _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist(), gauge)
@@ -152,14 +156,14 @@ def write_calibration_json(
         else _TimeOffsetsEntry(time_offsets.frames.tolist(), time_offsets.sigma.tolist())
     )
     content = _CalibrationFile(
-        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, _entries(rig), entry, dict(provenance or {}), late
+        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, entries_of(rig), entry, dict(provenance or {}), late
     )
     with replacing(path) as file:
         file.write(msgspec.json.format(msgspec.json.encode(content), indent=1))
 
 
-def read_calibration_json(path: StrPath) -> SavedCalibration:
-    """A rig written by `write_calibration_json`.
+def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration:
+    """A rig written by `write_calibration_json`; `poses` False lets cameras go without.
 
     Raises:
         FileFormatError: not JSON, another format or version, or an unknown, missing or wrong field (with its path).
@@ -180,8 +184,10 @@ def read_calibration_json(path: StrPath) -> SavedCalibration:
     if content.unit not in ("m", "arbitrary"):
         raise FileFormatError(f"{path}: unit '{content.unit}' at `$.unit` is neither 'm' nor 'arbitrary'.")
     for i, camera in enumerate(content.cameras):
-        _check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
-    rig = _rig(path, content.cameras)
+        if len(camera.distortion) < 4:
+            raise FileFormatError(f"{path}: `$.cameras[{i}].distortion` must be k1, k2, p1, p2 and k3, five numbers.")
+        check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
+    rig = rig_of_entries(path, content.cameras, poses)
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
     late = _time_offsets(path, content.time_offsets, len(rig))
@@ -223,24 +229,25 @@ def write_calibration_toml(
         ValueError: a number is not finite, or a lens is not Brown's.
     """
     content: dict[str, Any] = {}
-    for i, camera in enumerate(_entries(rig)):
+    for i, camera in enumerate(entries_of(rig)):
         content[f"cam_{i}"] = {
             "name": camera.name,
             "size": list(camera.size),
             "matrix": [list(row) for row in camera.K],
             "distortions": list(camera.distortion),
             "rotation": cv2.Rodrigues(np.array(camera.rotation))[0].ravel().tolist(),
-            "translation": list(camera.translation),
+            "translation": list(camera.translation or ()),
         }
     content["metadata"] = {"adjusted": True, "error": 0.0, "unit": unit, **(metadata or {})}
     with replacing(path) as file:
         tomli_w.dump(content, file)
 
 
-def read_calibration_toml(path: StrPath) -> SavedCalibration:
+def read_calibration_toml(path: StrPath, poses: bool = True) -> SavedCalibration:
     """A rig written by `write_calibration_toml`, anipose, caliscope or Pose2Sim; the cameras in the file's order.
 
-    The unit is metres unless `[metadata]` has `unit`.
+    Millimetres and centimetres become metres where `[metadata]` has such a `unit`; without one the unit is `UNSTATED`.
+    `poses` False lets cameras go without.
 
     Raises:
         FileFormatError: not TOML, no camera, a fish-eye lens, or a missing or wrong value (with its section).
@@ -248,25 +255,29 @@ def read_calibration_toml(path: StrPath) -> SavedCalibration:
     content = _read_toml(path)
     metadata = content.pop("metadata", {})
     cameras = [
-        _toml_entry(path, section, table, str(table.get("name", section)))
+        _toml_entry(path, section, table, str(table.get("name", section)), poses)
         for section, table in content.items()
         if isinstance(table, dict)
     ]
     if not cameras:
         raise FileFormatError(f"{path} holds no camera; expected sections [cam_0], [cam_1], ...")
-    return SavedCalibration(_rig(path, cameras), str(metadata.get("unit", "m")), provenance=metadata)
+    saved = SavedCalibration(
+        rig_of_entries(path, cameras, poses), str(metadata.get("unit", UNSTATED)), provenance=metadata
+    )
+    return in_metres(saved, saved.unit) if saved.unit in UNITS else saved
 
 
-def read_camera_array(path: StrPath) -> SavedCalibration:
+def read_camera_array(path: StrPath, poses: bool = True) -> SavedCalibration:
     """The cameras of caliscope's `camera_array.toml` (metres), named cam_<id>; ignored cameras are left out.
 
     Raises:
         FileFormatError: not such a file, a fish-eye lens, or a missing or wrong value (with its section).
     """
     cameras = [
-        _toml_entry(path, f"cameras.{key}", table, f"cam_{key}") for key, table in _camera_array_tables(path).items()
+        _toml_entry(path, f"cameras.{key}", table, f"cam_{key}", poses)
+        for key, table in _camera_array_tables(path).items()
     ]
-    return SavedCalibration(_rig(path, cameras))
+    return SavedCalibration(rig_of_entries(path, cameras, poses))
 
 
 def read_camera_array_sizes(path: StrPath) -> dict[str, tuple[int, int]]:
@@ -303,29 +314,28 @@ def _toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str) -> _CameraEntry:
+def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str, poses: bool) -> CameraEntry:
     where = f"{path}, [{section}]: "
     if table.get("fisheye"):
-        raise FileFormatError(f"{where}a fish-eye lens cannot be read; only Brown's distortion can.")
-    distortion = np.zeros(5)
-    given = _numbers(where, table, "distortions", None)
-    if given.ndim != 1 or given.size > 5:
-        raise FileFormatError(f"{where}distortions has shape {given.shape}; give at most k1, k2, p1, p2, k3.")
-    distortion[: given.size] = given
+        refuse_other_model(where, "fisheye")
+    if "distortions" not in table:
+        raise FileFormatError(f"{where}'distortions' is missing.")
+    distortion = brown_coefficients(where, table["distortions"])
+    matrix = tuples(_numbers(where, table, "matrix", (3, 3)))
+    entry = CameraEntry(name, _toml_size(where, table), matrix, distortion.tolist(), *_toml_pose(where, table, poses))
+    check_entry(where, entry)
+    return entry
+
+
+def _toml_pose(where: str, table: Mapping[str, Any], needed: bool) -> tuple[Any, Any]:
+    """Rotation matrix and translation; neither where they are not needed and not there."""
+    if not needed and not {"rotation", "translation"} & table.keys():
+        return None, None
     rotation = _numbers(where, table, "rotation", None)
     if rotation.shape not in ((3,), (3, 3)):
         raise FileFormatError(f"{where}rotation has shape {rotation.shape}; give a rotation vector or a 3 x 3 matrix.")
     matrix = cv2.Rodrigues(rotation)[0] if rotation.shape == (3,) else rotation
-    entry = _CameraEntry(
-        name,
-        _toml_size(where, table),
-        _tuples(_numbers(where, table, "matrix", (3, 3))),
-        _tuples(distortion),
-        _tuples(np.asarray(matrix)),
-        _tuples(_numbers(where, table, "translation", (3,))),
-    )
-    _check_entry(where, entry)
-    return entry
+    return tuples(np.asarray(matrix)), tuples(_numbers(where, table, "translation", (3,)))
 
 
 def _numbers(where: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None) -> np.ndarray:
@@ -339,61 +349,3 @@ def _numbers(where: str, table: Mapping[str, Any], key: str, shape: tuple[int, .
         size = " x ".join(map(str, shape or values.shape))
         raise FileFormatError(f"{where}'{key}' must be {size} finite numbers, not {table[key]}.")
     return values
-
-
-def _tuples(values: np.ndarray) -> Any:
-    return tuple(map(tuple, values.tolist())) if values.ndim == 2 else tuple(values.tolist())
-
-
-def _check_entry(where: str, camera: _CameraEntry) -> None:
-    k, rotation = np.array(camera.K), np.array(camera.rotation)
-    if min(camera.size) <= 0:
-        raise FileFormatError(f"{where}size {list(camera.size)} must be positive.")
-    if min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
-        raise FileFormatError(f"{where}K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {k.tolist()}.")
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
-        raise FileFormatError(f"{where}the rotation is none: R R^T must be the identity and det R = +1.")
-
-
-def _rig(path: StrPath, cameras: list[_CameraEntry]) -> CameraRig:
-    names = tuple(camera.name for camera in cameras)
-    if not names or len(set(names)) != len(names):
-        raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
-    k = np.array([camera.K for camera in cameras])
-    with jax.enable_x64(True):
-        return CameraRig.from_parameters(
-            focal=k[:, [0, 1], [0, 1]],
-            center=k[:, :2, 2],
-            distortion=np.array([camera.distortion for camera in cameras]),
-            rotation=np.array([camera.rotation for camera in cameras]),
-            translation=np.array([camera.translation for camera in cameras]),
-            image_sizes=np.array([camera.size for camera in cameras]),
-            names=names,
-        )
-
-
-def _entries(rig: CameraRig) -> list[_CameraEntry]:
-    """The cameras of a rig as plain numbers."""
-    cameras = rig.cameras
-    count = len(rig)
-    focal, center = np.asarray(cameras.focal, float), np.asarray(cameras.center, float)
-    k = np.tile(np.eye(3), (count, 1, 1))
-    k[:, [0, 1], [0, 1]] = focal
-    k[:, :2, 2] = center
-    if not isinstance(cameras.distortion, Brown):
-        raise ValueError(f"Only Brown's distortion can be written, not {type(cameras.distortion).__name__}.")
-    distortion = np.asarray(cameras.distortion.coefficients, float)
-    rotation = np.asarray(cameras.cam_from_world.rotation, float)
-    translation = np.asarray(cameras.cam_from_world.translation, float)
-    sizes = np.asarray(rig.image_sizes).astype(int)
-    for name, values in (("K", k), ("distortion", distortion), ("rotation", rotation), ("translation", translation)):
-        _check_finite(name, values)
-    return [
-        _CameraEntry(name, *map(_tuples, parts))
-        for name, *parts in zip(rig.names, sizes, k, distortion, rotation, translation)
-    ]
-
-
-def _check_finite(name: str, values: Any) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError(f"The {name} of the rig is not finite; a calibration that failed is not written.")

@@ -27,6 +27,7 @@ from jaxpoint.io.files import natural_key
 from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from jaxpoint.io.pairing import pair_frames
+from jaxpoint.io.rig_entries import needs_metres
 from jaxpoint.io.timestamps import Timestamps, read_timestamps
 from jaxpoint.io.video import open_frames
 
@@ -58,12 +59,13 @@ class Session:
         return (*self.videos, *(path for path in (self.timestamps, self.calibration, *self.empty) if path is not None))
 
 
-def open_session(folder: Path, calibration: Path | None = None) -> Session:
+def open_session(folder: Path, calibration: Path | None = None, unit: str | None = None) -> Session:
     """Look at a session's folder, or at a single folder of videos; nothing is decoded but the first frames.
 
     Args:
         folder: as above; or one that holds the videos themselves.
         calibration: to use instead of the session's own.
+        unit: of a calibration that does not say it, m, cm or mm.
 
     Raises:
         FileFormatError: no videos, or a file that cannot be read.
@@ -85,7 +87,7 @@ def open_session(folder: Path, calibration: Path | None = None) -> Session:
         else _matched(sources, names)
     )
     path = calibration or (folder / "calibration.json")
-    rig = _rig(path, names, sizes) if calibration is not None or path.is_file() else None
+    rig = _rig(path, names, sizes, unit) if calibration is not None or path.is_file() else None
     empty = recordings(folder / "empty")
     strange = sorted(set(empty) - set(names))
     if strange:
@@ -128,12 +130,8 @@ def recordings(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _rig(path: Path, names: tuple[str, ...], sizes: np.ndarray) -> CameraRig:
-    saved = read_calibration(path)
-    if saved.unit != "m":
-        raise UsageError(
-            f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
-        )
+def _rig(path: Path, names: tuple[str, ...], sizes: np.ndarray, unit: str | None) -> CameraRig:
+    saved = needs_metres(path, read_calibration(path), unit)
     missing = [name for name in names if name not in saved.rig.names]
     if missing:
         raise UsageError(

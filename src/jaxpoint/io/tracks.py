@@ -1,9 +1,10 @@
 """Tracks in files: our own `.npz`, a long CSV, caliscope's corners, and the one door to all of them, `read_tracks`.
 
-Long CSV: `frame,time,camera,x,y`, one line for each light seen. `time` (s) may be left out; x or y empty or NaN means
-hidden. The image sizes come from the columns `width,height`, else from the argument `image_sizes`, else from a file
-`cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are
-sorted by name, cam_2 before cam_10.
+Long CSV: `frame,time,camera,x,y`, one line for each light seen. `time` (s; or `time_ms`, `time_us`, `time_ns`) may be
+left out; x or y empty or NaN means hidden. Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes
+come from the columns `width,height`, else from the argument `image_sizes`, else from a file `cameras.csv`
+(`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are sorted by
+name, cam_2 before cam_10.
 """
 
 from __future__ import annotations
@@ -15,15 +16,24 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from jaxpoint.errors import FileFormatError
+from jaxpoint.calibration.stuck import refuse_stuck
+from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.calibration import read_camera_array_sizes
-from jaxpoint.io.files import Row, StrPath, natural_key, read_header, read_table, replacing
+from jaxpoint.io.files import PIXEL_ALIASES, Row, StrPath, natural_key, read_header, read_table, replacing
 from jaxpoint.io.svoboda import read_svoboda
 from jaxpoint.tracks import Tracks
 
 TRACKS_FORMAT = "jaxpoint-tracks"
 TRACKS_VERSION = 1
 LONG_COLUMNS = ("frame", "camera", "x", "y")
+ALIASES = {
+    "frame": ("sync_index", "frame_id", "frame_number", "frame_index"),  # what all cameras share first
+    **PIXEL_ALIASES,
+    "width": ("image_width", "width_px"),
+    "height": ("image_height", "height_px"),
+}
+TIME_UNITS = {"time": 1.0, "time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6, "time_ns": 1e-9}  # s
+SLOWEST = 10.0  # s from frame to frame; more in a column `time` is no time in seconds
 CORNER_COLUMNS = ("sync_index", "cam_id", "keypoint_id", "img_loc_x", "img_loc_y")
 
 ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]
@@ -42,11 +52,19 @@ def read_tracks(path: StrPath, *, one_based: bool = False, image_sizes: ImageSiz
         image_sizes: width and height (px) of all cameras, or of each by name, for CSV files that do not say.
 
     Raises:
-        FileFormatError: it is none of these, or is damaged.
+        FileFormatError: it is none of these, is damaged, or a camera has many sightings at one and the same pixel.
     """
     path = Path(path)
-    if path.name == "points.dat" and path.is_file():
-        path = path.parent
+    tracks = _read_any(path.parent if path.name == "points.dat" and path.is_file() else path, one_based, image_sizes)
+    try:
+        refuse_stuck(tracks)
+    except InsufficientDataError as error:
+        raise FileFormatError(f"{path}: {error}") from None
+    return tracks
+
+
+def _read_any(path: Path, one_based: bool, image_sizes: ImageSizes | None) -> Tracks:
+    suffix = path.suffix.lower()
     if path.is_dir():
         if not (path / "points.dat").exists():
             raise FileFormatError(
@@ -54,9 +72,9 @@ def read_tracks(path: StrPath, *, one_based: bool = False, image_sizes: ImageSiz
                 "it. Images and videos go through `jaxpoint detect led` first."
             )
         return read_svoboda(path, one_based)
-    if path.suffix == ".npz":
+    if suffix == ".npz":
         return load_tracks(path)
-    if path.suffix == ".csv":
+    if suffix in (".csv", ".tsv", ".txt"):
         if "keypoint_id" in read_header(path):
             return read_caliscope_corners(path, image_sizes)
         return read_long_csv(path, one_based, image_sizes)
@@ -160,12 +178,12 @@ def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSize
     Raises:
         FileFormatError: a missing column or value, a camera twice in one frame, or no image size.
     """
-    rows = read_table(path, LONG_COLUMNS)
+    rows = read_table(path, LONG_COLUMNS, ALIASES)
     order, sizes = _sizes_of(path, rows, image_sizes)
     frames = [row.integer("frame") for row in rows]
     frame_ids = sorted(set(frames))
     pixels = _scatter(rows, frames, frame_ids, order, ("x", "y"))
-    times = _times(path, rows, frames, frame_ids) if "time" in rows[0].values else None
+    times = _times(path, rows, frames, frame_ids)
     return Tracks.from_pixels(
         pixels - float(one_based),
         np.array([sizes[name] for name in order]),
@@ -226,7 +244,10 @@ def _scatter(
         name = row.text("camera")
         place = frame_index[frame], camera_index[name]
         if taken[place]:
-            raise row.error(f"camera '{name}' has a second line for frame {frame}; keep one.")
+            raise row.error(
+                f"camera '{name}' has a second line for frame {frame}; a file holds one light, so keep one line (of "
+                "two lights, each in a file of its own)."
+            )
         taken[place] = True
         if not (row.missing(xy[0]) or row.missing(xy[1])):
             pixels[place] = row.number(xy[0]), row.number(xy[1])
@@ -234,17 +255,31 @@ def _scatter(
 
 
 def _times(path: StrPath, rows: list[Row], frames: list[int], frame_ids: list[int]) -> np.ndarray | None:
-    """(F,) mean time of each frame's lines, s; None where the column is empty throughout."""
-    if all(row.missing("time") for row in rows):
+    """(F,) mean time of each frame's lines, s; None where there is no such column or it is empty throughout."""
+    column = next((name for name in TIME_UNITS if name in rows[0].values), None)
+    if column is None or all(row.missing(column) for row in rows):
         return None
     seconds: dict[int, list[float]] = {frame: [] for frame in frame_ids}
     for row, frame in zip(rows, frames):
-        if not row.missing("time"):
-            seconds[frame].append(row.number("time"))
+        if not row.missing(column):
+            seconds[frame].append(TIME_UNITS[column] * row.number(column))
     empty = [frame for frame, values in seconds.items() if not values]
     if empty:
         raise FileFormatError(f"{path}: frame {empty[0]} has no time, others do; give all or drop the column.")
-    return np.array([np.mean(seconds[frame]) for frame in frame_ids])
+    times = np.array([np.mean(seconds[frame]) for frame in frame_ids])
+    if column == "time":
+        _check_seconds(path, times)
+    return times
+
+
+def _check_seconds(path: StrPath, times: np.ndarray) -> None:
+    step = float(np.median(np.abs(np.diff(times)))) if len(times) > 1 else 0.0
+    if step > SLOWEST:
+        unit = next((name for name in ("time_ms", "time_us") if step * TIME_UNITS[name] <= 1), "time_ns")
+        raise FileFormatError(
+            f"{path}: column 'time' rises by {step:.3g} from frame to frame, which are hardly seconds; name it {unit} "
+            f"if it is in {unit[5:]}, or time_s if these are seconds."
+        )
 
 
 def _sizes_of(
@@ -261,12 +296,12 @@ def _sizes_of(
     elif given is not None:
         sizes = dict.fromkeys(seen, given)
     elif sidecar.exists():
-        sizes = _sizes_in(read_table(sidecar, ("camera", "width", "height")))
+        sizes = _sizes_in(read_table(sidecar, ("camera", "width", "height"), ALIASES))
         order = list(sizes)
     else:
         raise FileFormatError(
-            f"{path} does not say how large the images are; add columns width,height, or a file {sidecar} "
-            "(camera,width,height), or give the image size as an option."
+            f"{path} does not say how large the images are; add columns width,height (px), or a file {sidecar} "
+            "(camera,width,height), or give --image-size WIDTH HEIGHT where all are alike."
         )
     missing = [name for name in seen if name not in sizes]
     if missing:

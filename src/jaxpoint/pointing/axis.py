@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, promote
 from jaxpoint.geometry.linalg import solve_positive
 from jaxpoint.geometry.line import normalised
 
@@ -63,7 +63,7 @@ def fit_axis(
 
     Differentiable in all arguments that are not flags, by the implicit function theorem; batch it with `vmap`.
     """
-    given = _Given(*(as_float(part) for part in (origins, focal, rays, tip, direction, sigma_px, span_m)), seen=seen)
+    given = _Given(*promote(origins, focal, rays, tip, direction, sigma_px, span_m), seen=seen)
     settled = jax.lax.stop_gradient(_settled(jax.lax.stop_gradient(given)))
     # One step more, which does not move the optimum, but whose derivative is that of the optimum.
     turning = jax.lax.stop_gradient(jax.jacfwd(lambda offsets: _pull(given, offsets))(settled))

@@ -1,0 +1,136 @@
+"""A rig as it stands in files: its cameras as plain numbers, the unit of its lengths, and the way to and fro."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.geometry.pose import Similarity
+from jaxpoint.io.files import UNITS, StrPath
+from jaxpoint.io.lenses import brown_coefficients
+
+UNSTATED = "unstated"  # the unit of a file that does not say it
+
+Vector3 = tuple[float, float, float]
+Matrix3 = tuple[Vector3, Vector3, Vector3]
+
+
+class CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    size: tuple[int, int]
+    K: Matrix3
+    distortion: list[float]
+    rotation: Matrix3 | None = None
+    translation: Vector3 | None = None
+
+
+@dataclass(frozen=True)
+class SavedCalibration:
+    """A rig as it stood in a file."""
+
+    rig: CameraRig
+    unit: str = "m"  # of the translations: "m", "arbitrary" or UNSTATED
+    covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
+    gauge: str | None = None  # what holds its frame: "free" or "landmarks"
+    provenance: dict[str, Any] = field(default_factory=dict)
+    time_offsets: TimeOffsets | None = None
+
+
+def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
+    """A calibration whose lengths are in `unit` (m, cm or mm), in metres."""
+    with jax.enable_x64(True):
+        size = Similarity(np.asarray(1.0 / UNITS.get(unit, 1.0)), np.eye(3), np.zeros(3))
+        return replace(saved, rig=saved.rig.transformed(size), unit="m")
+
+
+def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
+    """The calibration in metres, where it is or where its unit is given.
+
+    Raises:
+        UsageError: its unit is not known, or it has no metric scale at all.
+    """
+    if saved.unit == UNSTATED and unit is not None:
+        return in_metres(saved, unit)
+    if saved.unit == UNSTATED:
+        raise UsageError(
+            f"'{path}' does not say its unit; give --unit mm, cm or m, or write unit = \"mm\" into its [metadata]."
+        )
+    if saved.unit != "m":
+        raise UsageError(
+            f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
+        )
+    return saved
+
+
+def tuples(values: np.ndarray) -> Any:
+    return tuple(map(tuple, values.tolist())) if values.ndim == 2 else tuple(values.tolist())
+
+
+def check_entry(where: str, camera: CameraEntry) -> None:
+    k, rotation = np.array(camera.K), np.eye(3) if camera.rotation is None else np.array(camera.rotation)
+    brown_coefficients(where, camera.distortion)
+    if min(camera.size) <= 0:
+        raise FileFormatError(f"{where}size {list(camera.size)} must be positive.")
+    if min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
+        raise FileFormatError(f"{where}K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {k.tolist()}.")
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
+        raise FileFormatError(f"{where}the rotation is none: R R^T must be the identity and det R = +1.")
+
+
+def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> CameraRig:
+    names = tuple(camera.name for camera in cameras)
+    if not names or len(set(names)) != len(names):
+        raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
+    without = [camera.name for camera in cameras if camera.rotation is None or camera.translation is None]
+    if poses and without:
+        raise FileFormatError(
+            f"{path}: camera '{without[0]}' has no rotation and translation, only a lens; calibrate with it "
+            "(--intrinsics), and use the calibration that comes out."
+        )
+    k = np.array([camera.K for camera in cameras])
+    with jax.enable_x64(True):
+        return CameraRig.from_parameters(
+            focal=k[:, [0, 1], [0, 1]],
+            center=k[:, :2, 2],
+            distortion=np.array([brown_coefficients("", camera.distortion) for camera in cameras]),
+            rotation=np.array([camera.rotation or np.eye(3) for camera in cameras]),
+            translation=np.array([camera.translation or np.zeros(3) for camera in cameras]),
+            image_sizes=np.array([camera.size for camera in cameras]),
+            names=names,
+        )
+
+
+def entries_of(rig: CameraRig) -> list[CameraEntry]:
+    """The cameras of a rig as plain numbers."""
+    cameras = rig.cameras
+    count = len(rig)
+    focal, center = np.asarray(cameras.focal, float), np.asarray(cameras.center, float)
+    k = np.tile(np.eye(3), (count, 1, 1))
+    k[:, [0, 1], [0, 1]] = focal
+    k[:, :2, 2] = center
+    if not isinstance(cameras.distortion, Brown):
+        raise ValueError(f"Only Brown's distortion can be written, not {type(cameras.distortion).__name__}.")
+    distortion = np.asarray(cameras.distortion.coefficients, float)
+    rotation = np.asarray(cameras.cam_from_world.rotation, float)
+    translation = np.asarray(cameras.cam_from_world.translation, float)
+    sizes = np.asarray(rig.image_sizes).astype(int)
+    for name, values in (("K", k), ("distortion", distortion), ("rotation", rotation), ("translation", translation)):
+        check_finite_numbers(name, values)
+    return [
+        CameraEntry(name, *map(tuples, parts))
+        for name, *parts in zip(rig.names, sizes, k, distortion, rotation, translation)
+    ]
+
+
+def check_finite_numbers(name: str, values: Any) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"The {name} of the rig is not finite; a calibration that failed is not written.")
