@@ -44,7 +44,7 @@ def lens_test(calibration: Calibration, normal: NormalEquations) -> LensTest | N
     widths = np.asarray(calibration.rig.image_sizes)[:, 0]
     given, solution = freedom.prior_mean[:, FOCAL], normal.parameters[:, FOCAL]
     found, sigmas = solution.copy(), np.zeros(len(given))
-    for camera in np.flatnonzero(given_lenses(freedom)):
+    for camera in np.flatnonzero(given_lenses(freedom)).tolist():
         try:
             step = normal.solve(unknown_again(freedom, camera, widths, calibration.sigma_px))
         except np.linalg.LinAlgError:

@@ -22,7 +22,7 @@ def prior_findings(calibration: Calibration, normal: NormalEquations | None) -> 
     """Principal points outside their image or far from their prior, and aspects that nothing tells."""
     names = calibration.rig.names
     center, sizes = np.asarray(calibration.rig.cameras.center), np.asarray(calibration.rig.image_sizes)
-    outside = ((center < -0.5) | (center > sizes - 0.5)).any(axis=1)
+    outside = np.asarray(((center < -0.5) | (center > sizes - 0.5)).any(axis=1))
     if outside.any():
         chosen = tuple(name for name, yes in zip(names, outside) if yes)
         yield Finding(
@@ -56,7 +56,7 @@ def prior_findings(calibration: Calibration, normal: NormalEquations | None) -> 
 def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Finding]:
     """What priors that were given up say of the cameras."""
     count, sizes = len(rig), np.asarray(rig.image_sizes)
-    looser = (after.prior_weight < before.prior_weight)[:count, CENTER].any(axis=1)
+    looser = np.asarray((after.prior_weight < before.prior_weight)[:count, CENTER].any(axis=1))
     if looser.any():
         chosen = _named(rig, looser)
         off = np.linalg.norm(np.asarray(rig.cameras.center) - (sizes - 1) / 2.0, axis=1)[looser]

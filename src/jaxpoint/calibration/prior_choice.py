@@ -136,7 +136,9 @@ class PriorChoice:
         for _ in range(ROUNDS):
             calibration = self._assembled(solution)
             doubts = doubts_of(calibration)
-            trials = [] if doubts is None else list(self._trials(solution, doubts))
+            if doubts is None:
+                break
+            trials = list(self._trials(solution, doubts))
             if not trials:
                 break
             gains = [better_by(trial, solution) - _price(trial, solution) for trial in trials]

@@ -77,29 +77,28 @@ def _silent(what: str, done: int, total: int) -> None:
 
 def _consistent(tracks: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
     """Solve all cameras; those that the others contradict are left out, one after the other, and named."""
-    least = 3 if intrinsics is None else 2
+    spare = tracks.cameras > (3 if intrinsics is None else 2)
     try:
         found = _solved(tracks, settings, intrinsics, progress)
-        odd = contradicted_camera(found)
     except ContradictionError as error:
-        if tracks.cameras <= least:
+        others = _without(tracks, error.camera, settings, intrinsics, progress) if spare else None
+        if others is None:
             raise
-        found, odd = None, error.camera
-        reason = error
-    if odd is None or tracks.cameras <= least:
-        assert found is not None
-        return found
-    rest = [camera for camera in range(tracks.cameras) if camera != odd]
+        return others
+    odd = contradicted_camera(found) if spare else None
+    others = None if odd is None else _without(tracks, odd, settings, intrinsics, progress)
+    return others if others is not None and holds_without(others, found) else found
+
+
+def _without(tracks: Tracks, camera: int, settings, intrinsics, progress: Progress) -> Calibration | None:
+    """The calibration of the other cameras, which says why this one was left out; None where they do not suffice."""
+    rest = [other for other in range(tracks.cameras) if other != camera]
     fewer = None if intrinsics is None else intrinsics.select(rest)
     try:
         others = _consistent(tracks.select_cameras(rest), settings, fewer, progress)
     except InsufficientDataError:
-        if found is None:
-            raise reason from None
-        return found
-    if found is not None and not holds_without(others, found):
-        return found
-    return replace(others, findings=(left_out(tracks, odd, others, settings), *others.findings))
+        return None
+    return replace(others, findings=(left_out(tracks, camera, others, settings), *others.findings))
 
 
 def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
