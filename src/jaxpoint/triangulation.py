@@ -43,6 +43,7 @@ class Flag(IntFlag):
     BEHIND = 1  # it lies behind a camera that sees it
     LOW_PARALLAX = 2  # all lines of sight are within 2 degrees of parallel: its distance is hardly determined
     FEW_VIEWS = 4  # fewer than two usable views: there is no point
+    BEYOND_REACH = 16  # it was seen where a calibration found that the lens model no longer holds
     LENS_RANGE = 8  # a visible pixel is NaN or lies where the lens model has no ray; that view was not used
 
 
@@ -69,8 +70,9 @@ class Triangulation(eqx.Module):
 
     @property
     def valid(self) -> Bool[Array, "*batch"]:
-        """Whether a point has two views or more, enough parallax, and lies in front of the cameras that see it."""
-        return (self.flags & (Flag.BEHIND | Flag.LOW_PARALLAX | Flag.FEW_VIEWS)) == 0
+        """Whether a point has two views or more, enough parallax, lies in front of the cameras that see it, and within
+        the reach of their lens models."""
+        return (self.flags & (Flag.BEHIND | Flag.LOW_PARALLAX | Flag.FEW_VIEWS | Flag.BEYOND_REACH)) == 0
 
 
 def triangulate(
@@ -143,7 +145,16 @@ def triangulate(
     else:
         result = part(0)
         result = result if count == size else jax.tree.map(lambda leaf: leaf[:count], result)
+    if rig.reach is not None:
+        beyond = _beyond_reach(rig, as_float(pixels), jnp.asarray(visible, dtype=bool))
+        result = eqx.tree_at(lambda found: found.flags, result, result.flags | beyond)
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
+
+
+def _beyond_reach(rig: CameraRig, pixels: Float[Array, "N C 2"], visible: Bool[Array, "N C"]) -> Int[Array, " N"]:
+    """The flag of points that some camera saw where its lens model has ended."""
+    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - rig.cameras.center, 0.0), axis=-1)
+    return jnp.where((away > rig.reach).any(axis=-1), int(Flag.BEYOND_REACH), 0)
 
 
 def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:

@@ -65,7 +65,7 @@ def by_calibration(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12 D"]:
 
     def moved(changes: Array) -> Array:
         cameras = jax.vmap(Camera.perturbed)(rig.cameras, changes.reshape(-1, PARAMETERS))
-        return arm_numbers(CameraRig(cameras, rig.image_sizes, rig.names), seen)
+        return arm_numbers(CameraRig(cameras, rig.image_sizes, rig.names, rig.reach), seen)
 
     return jax.jacrev(moved)(jnp.zeros(len(rig) * PARAMETERS, rig.cameras.focal.dtype))
 

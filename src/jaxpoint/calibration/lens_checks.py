@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -104,9 +105,13 @@ def waviness(profile: LensProfile, sigma_px: float) -> Float[np.ndarray, " C"]:
     return np.where(chi > SIGNIFICANT * rings, wave / sigma_px, 0.0)
 
 
-def lens_reach(calibration: Calibration) -> Float[np.ndarray, " C"]:
-    """Pixels from the principal point up to which the recording confirms each lens; infinite where it never ends."""
-    return np.hypot(*calibration.tracks.image_sizes.T) / 2.0 * _ends(lens_profile_of(calibration))
+def with_reach(calibration: Calibration) -> Calibration:
+    """The calibration, its rig saying how far from the principal points the lens models hold, where they end."""
+    ends = _ends(lens_profile_of(calibration))
+    if not np.isfinite(ends).any():
+        return calibration
+    reach = np.hypot(*calibration.tracks.image_sizes.T) / 2.0 * ends
+    return replace(calibration, rig=replace(calibration.rig, reach=jnp.asarray(reach)))
 
 
 def _ends(profile: LensProfile) -> Float[np.ndarray, " C"]:

@@ -15,6 +15,7 @@ from jaxpoint.calibration.contradiction import contradicted_camera, holds_withou
 from jaxpoint.calibration.degenerate import ContradictionError, check_geometry, check_volume
 from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.initial import Inputs, Start, starts
+from jaxpoint.calibration.lens_checks import with_reach
 from jaxpoint.calibration.objective import Solution, better_by
 from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
 from jaxpoint.calibration.outliers import Settled, grow, settle
@@ -133,7 +134,7 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
     )
     check_volume(found.points[found.point_valid])
     return replace(
-        refining.with_offsets(found),
+        with_reach(refining.with_offsets(found)),
         stages=(_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled)),
         seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
         findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig)),

@@ -93,6 +93,8 @@ def in_view(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Bool[np.ndarray
     pixels = project(rig, points)
     sizes = np.asarray(rig.image_sizes)
     inside = ((pixels >= -0.5) & (pixels <= sizes - 0.5)).all(axis=-1)
+    if rig.reach is not None:
+        inside &= np.linalg.norm(pixels - np.asarray(rig.cameras.center), axis=-1) <= np.asarray(rig.reach)
     return ahead & inside & (square <= _reach(np.asarray(known_numbers(rig))[:, 4:], square.max(initial=1.0)))
 
 

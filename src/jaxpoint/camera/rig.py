@@ -28,6 +28,7 @@ class CameraRig(eqx.Module):
     cameras: Camera  # with a leading axis C on every leaf
     image_sizes: Int[Array, "C 2"]  # px, width and height
     names: tuple[str, ...] = eqx.field(static=True)
+    reach: Float[Array, " C"] | None = None  # px from the principal point, where the lens models end; None: nowhere
 
     @staticmethod
     def from_parameters(
@@ -132,7 +133,8 @@ class CameraRig(eqx.Module):
             raise ValueError(f"A rig needs at least one camera and each once, not {index}.")
         chosen = jnp.asarray(index)
         kept = jax.tree.map(lambda leaf: leaf[chosen], self.cameras)
-        return CameraRig(kept, self.image_sizes[chosen], tuple(self.names[i] for i in index))
+        reach = None if self.reach is None else self.reach[chosen]
+        return CameraRig(kept, self.image_sizes[chosen], tuple(self.names[i] for i in index), reach)
 
 
 def _camera(focal: Array, center: Array, distortion: Array, rotation: Array, translation: Array) -> Camera:

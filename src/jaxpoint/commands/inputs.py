@@ -82,7 +82,7 @@ def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> Cam
             f"'{path}' has the cameras {', '.join(rig.names)}, but the tracks have {', '.join(tracks.names)}: {remedy}."
         )
     chosen = rig.select(places)
-    return CameraRig(chosen.cameras, chosen.image_sizes, tracks.names)
+    return CameraRig(chosen.cameras, chosen.image_sizes, tracks.names, chosen.reach)
 
 
 def _fitted(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:

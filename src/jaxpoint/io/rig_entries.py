@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 from jaxtyping import Float
@@ -31,6 +32,7 @@ class CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
     distortion: list[float]
     rotation: Matrix3 | None = None
     translation: Vector3 | None = None
+    reach_px: float | msgspec.UnsetType = msgspec.UNSET  # from the principal point, where the lens model ends
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,9 @@ def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> Ca
             "(--intrinsics), and use the calibration that comes out."
         )
     k = np.array([camera.K for camera in cameras])
+    reach = np.array([np.inf if isinstance(c.reach_px, msgspec.UnsetType) else c.reach_px for c in cameras])
     with jax.enable_x64(True):
-        return CameraRig.from_parameters(
+        rig = CameraRig.from_parameters(
             focal=k[:, [0, 1], [0, 1]],
             center=k[:, :2, 2],
             distortion=np.array([brown_coefficients("", camera.distortion) for camera in cameras]),
@@ -107,6 +110,7 @@ def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> Ca
             image_sizes=np.array([camera.size for camera in cameras]),
             names=names,
         )
+        return replace(rig, reach=jnp.asarray(reach)) if np.isfinite(reach).any() else rig
 
 
 def entries_of(rig: CameraRig) -> list[CameraEntry]:
@@ -125,9 +129,10 @@ def entries_of(rig: CameraRig) -> list[CameraEntry]:
     sizes = np.asarray(rig.image_sizes).astype(int)
     for name, values in (("K", k), ("distortion", distortion), ("rotation", rotation), ("translation", translation)):
         check_finite_numbers(name, values)
+    reach = np.full(count, np.inf) if rig.reach is None else np.asarray(rig.reach, float)
     return [
-        CameraEntry(name, *map(tuples, parts))
-        for name, *parts in zip(rig.names, sizes, k, distortion, rotation, translation)
+        CameraEntry(name, *map(tuples, parts), reach_px=float(end) if np.isfinite(end) else msgspec.UNSET)
+        for name, end, *parts in zip(rig.names, reach, sizes, k, distortion, rotation, translation)
     ]
 
 
