@@ -19,6 +19,7 @@ SAMPLES = 128  # minimal samples a fit: fewer than for the geometry itself, but 
 STEPS = (2.0, 1.0, 0.5, 0.25)  # by which both ends of a camera's clock are moved, coarse to fine
 TRIES = 8  # moves at each of these
 CHANCE = 0.25  # share of matches that some epipolar geometry fits whatever the clocks, about
+HOPEFUL = 0.4  # share of matches where a clock was found: less, and it is not followed farther
 DRIFTS = 0.02  # by so much the share must rise before a rate of its own is believed
 
 
@@ -131,7 +132,7 @@ def refine(
     camera: int,
     start: Clock,
     others: Sequence[tuple[int, Clock]],
-    middle: float | None = None,
+    middle: float = 0.0,
     reach: float = np.inf,
 ) -> tuple[Clock, Share]:
     """The clock near `start` under which a camera agrees best with others.
@@ -141,14 +142,13 @@ def refine(
     """
     ids = agreement.tracks.frame_ids.astype(float)
     after = ids - ids[0]
-    middle = float(after[-1] / 2 if middle is None else middle)
     while True:
         within = np.abs(after - middle) <= reach
         ends = float(after[within][0]), float(after[within][-1])
         every = bool(within.all())
         start, share = _search(agreement, camera, start, others, ends, None if every else within)
-        if every:
-            return start, share
+        if every or share.fit < HOPEFUL:
+            return start, share if every else Share(0.0, 0.0)
         reach *= 2.0
 
 

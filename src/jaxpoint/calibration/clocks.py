@@ -8,14 +8,24 @@ only where it stands out from all other lags.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
-from jaxpoint.calibration.clock_fit import Agreement, Clock, Share, refine
-from jaxpoint.calibration.lag_search import Candidate, Courses, at_any_rate, at_one_rate, dense_courses, tolerance
+from jaxpoint.calibration.clock_fit import DRIFTS, Agreement, Clock, Share, refine
+from jaxpoint.calibration.lag_search import (
+    Candidate,
+    Courses,
+    Known,
+    at_any_rate,
+    at_near_rates,
+    at_one_rate,
+    dense_courses,
+    stretches,
+    tolerance,
+)
 from jaxpoint.calibration.offset_search import PairOffset, chosen_pairs, joint_offsets, search_offset
 from jaxpoint.calibration.twoview import normalised
 from jaxpoint.camera.rig import CameraRig
@@ -25,12 +35,18 @@ from jaxpoint.tracks import Tracks
 
 IN_STEP = 0.7  # share of matches that fit in step: more, and a pair is
 ENOUGH = 0.7  # and with a clock of its own: more, and no other rate is looked for
-CERTAIN = 0.5  # a smaller share proves nothing,
-STANDS_OUT = 0.12  # nor does one that exceeds that of another lag by less
+CERTAIN = 0.5  # a smaller share proves nothing;
+CERTAIN_OF_FEW = 0.9  # nor does this, where less than
+OVERLAP = 0.5  # of the frames can be compared.
+STANDS_OUT = 1.3  # times the matches beyond chance of any other lag must fit at a clock
+LIKELY = 1.3  # times the score of the next best candidate: less, and it is chance
+NEARLY = 0.35  # share of matches in step from which a search for the right clock starts
 PARTNERS = 3  # cameras of the group with which a camera is compared
 MANY = 6  # cameras: of more, not all pairs are tried
 LAGS = 4  # candidates of each pair
+LEAST_DRIFT = 0.3  # frames, from the middle of the first half to that of the second
 SLACK = 0.75  # frames: cameras that differ by less count as in step with one another
+SEARCHES = 12  # at all rates, each a second or two, before cameras that fit nothing are given up
 SEEDS = 3  # groups from which is grown, before the largest is taken
 
 
@@ -95,12 +111,13 @@ class _Survey:
         self.courses = _courses(tracks, self.agreement, intrinsics)
         self.half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
         self.least = settings.min_shared_frames
+        self.searches = SEARCHES
         self.progress = progress or (lambda done, total: None)
 
     def run(self) -> ClockSurvey:
         if self.tracks.frames < 2 or self.tracks.cameras < 2:
             return ClockSurvey(tuple(CameraClock(name, 0.0, 1.0, 0.0, 0.0, False) for name in self.tracks.names), ())
-        known = self._largest(self._groups_in_step())
+        known = self._with_rates(self._largest(self._groups_in_step()))
         pairs = self._pairs(known)
         clocks = self._against_group(self._shifted(known, pairs))
         before, after = self._shares(known)
@@ -138,7 +155,7 @@ class _Survey:
         if share.fit < IN_STEP:
             return False
         # A slow light fits nearly as well a few frames late; the lag at which it fits best is looked at too.
-        for other in at_one_rate(self.courses, first, 0.0, 1.0, second, 1):
+        for other in at_one_rate(self.courses, Known(first, 0.0, 1.0), second, 1):
             late = self.agreement.share((first, Clock()), (second, Clock(other.offset)))
             if (
                 abs(other.offset) > 2.0 * self.agreement.step
@@ -183,35 +200,54 @@ class _Survey:
         """The clock of one camera against those known; None where none stands out."""
         partners = self._partners(camera, known)
         tried: dict[Clock, Share] = {}
-        candidates = [Candidate(0.0, 1.0, 0.0, 0.0, np.inf)]
-        for partner, clock in partners:
-            late = clock.offset / self.courses.step
-            candidates += at_one_rate(self.courses, partner, late, clock.rate, camera, LAGS)
-        found = self._best(camera, partners, candidates, tried)
-        if found[1].fit < ENOUGH and self.courses.whole:
-            candidates = []
-            for partner, clock in partners[:2]:
-                steps = tolerance(self.courses, partner, camera, self.tracks.image_sizes[:, 0].astype(float), self.half)
-                late = clock.offset / self.courses.step
-                candidates += at_any_rate(self.courses, partner, late, clock.rate, camera, steps, LAGS)
-            other = self._best(camera, partners, candidates, tried)
-            found = other if other[1].beyond_chance > found[1].beyond_chance else found
-        return found[0] if self._stands_out(*found, tried) else None
+        best = Clock(), Share(0.0, 0.0)
+        for candidates in self._candidates(camera, partners):
+            found = self._best(camera, partners, candidates, tried)
+            best = found if found[1].beyond_chance > best[1].beyond_chance else best
+            if self._explains(camera, partners, best[1]):
+                break
+        return best[0] if self._stands_out(camera, partners, *best, tried) else None
+
+    def _candidates(self, camera: int, partners) -> Iterator[list[Candidate]]:
+        """Clocks to try, the likely ones first, each list the more laborious to find."""
+        others = [Known(other, clock.offset / self.courses.step, clock.rate) for other, clock in partners]
+        alike = [found for one in others for found in at_one_rate(self.courses, one, camera, LAGS)]
+        yield [Candidate(0.0, 1.0, 0.0), *alike]
+        if not self.courses.whole:
+            return
+        for one in others[:2]:
+            yield at_near_rates(self.courses, one, camera, self._tolerance(one.camera, camera), LAGS)
+        for one in others[:2]:
+            steps = self._tolerance(one.camera, camera)
+            for window in stretches(self.courses.visible[:, one.camera], steps):
+                if self.searches:
+                    self.searches -= 1
+                    yield at_any_rate(self.courses, one, camera, steps, window, LAGS)
+
+    def _tolerance(self, first: int, second: int) -> float:
+        return tolerance(self.courses, first, second, self.tracks.image_sizes[:, 0].astype(float), self.half)
+
+    def _explains(self, camera: int, partners, share: Share) -> bool:
+        """So many matches fit that no other rate need be tried."""
+        return share.fit >= ENOUGH and share.matches >= OVERLAP * self._most(camera, partners)
+
+    def _most(self, camera: int, partners) -> float:
+        """Matches with the partners, if all frames of the one with fewer were matches."""
+        seen = self.agreement.usable.sum(axis=0)
+        return float(sum(min(seen[camera], seen[other]) for other, _ in partners))
 
     def _best(self, camera, partners, candidates: list[Candidate], tried: dict[Clock, Share]) -> tuple[Clock, Share]:
-        """The two candidates with which most matches fit, refined; the better of them."""
+        """The two likeliest candidates, refined; the better of them."""
         ranked = []
         for one in candidates:
             clock = Clock(one.offset, one.rate)
-            within = self._within(one)
-            tried[clock] = self.agreement.shares((camera, clock), partners, within)
-            ranked.append((tried[clock].beyond_chance, clock, one))
+            tried[clock] = self.agreement.shares((camera, clock), partners, self._within(one))
+            if one.margin >= LIKELY and (one.score > 0 or tried[clock].fit > NEARLY):
+                ranked.append((tried[clock].beyond_chance, clock, one))
         ranked.sort(key=lambda item: -item[0])
         best = Clock(), Share(0.0, 0.0)
-        for _, clock, one in ranked[:2]:
-            found = refine(
-                self.agreement, camera, clock, partners, one.middle if np.isfinite(one.reach) else None, one.reach
-            )
+        for clock, one in {clock: one for _, clock, one in ranked[:2]}.items():
+            found = refine(self.agreement, camera, clock, partners, one.middle, one.reach)
             best = found if found[1].beyond_chance > best[1].beyond_chance else best
         return best
 
@@ -220,12 +256,14 @@ class _Survey:
             return None
         return np.abs(self.tracks.frame_ids - self.tracks.frame_ids[0] - one.middle) <= one.reach
 
-    def _stands_out(self, clock: Clock, share: Share, tried: dict[Clock, Share]) -> bool:
-        """No other lag comes near it."""
+    def _stands_out(self, camera: int, partners, clock: Clock, share: Share, tried: dict[Clock, Share]) -> bool:
+        """No other lag comes near it; where few frames overlap chance fits better, and more is asked for."""
         middle = float(self.tracks.frame_ids[-1] - self.tracks.frame_ids[0]) / 2
         apart = 8.0 * self.agreement.step
-        rivals = [other.fit for one, other in tried.items() if abs(one.at(middle) - clock.at(middle)) > apart]
-        return share.fit >= CERTAIN and share.fit >= max(rivals, default=0.0) + STANDS_OUT
+        rivals = [other.beyond_chance for one, other in tried.items() if abs(one.at(middle) - clock.at(middle)) > apart]
+        few = share.matches < OVERLAP * self._most(camera, partners)
+        enough = share.fit >= (CERTAIN_OF_FEW if few else CERTAIN)
+        return enough and share.beyond_chance >= STANDS_OUT * max(rivals, default=0.0)
 
     def _partners(self, camera: int, known: dict[int, Clock]) -> list[tuple[int, Clock]]:
         """The cameras with known clocks with which this one shares most frames, or that saw the light most."""
@@ -237,19 +275,50 @@ class _Survey:
 
     # What is reported.
 
+    def _with_rates(self, known: dict[int, Clock]) -> dict[int, Clock]:
+        """The clocks with slow rates of their own: cameras that fit better when they drift.
+
+        Drift is what the offsets in the second half of the recording exceed those in the first half by.
+        """
+        after = (self.tracks.frame_ids - self.tracks.frame_ids[0]).astype(float)
+        halves = [after <= after[-1] / 2, after > after[-1] / 2]
+        pairs = [pair for pair in chosen_pairs(self._moved(known), self.least, 1) if set(pair) <= set(known)]
+        early, late = (
+            joint_offsets(
+                [search_offset(self.agreement, (i, known[i]), (j, known[j]), half) for i, j in pairs],
+                self.tracks.cameras,
+            )
+            for half in halves
+        )
+        members = sorted(known)
+        drift = late - early
+        drift -= np.median(drift[members])
+        for camera in sorted(members, key=lambda c: -abs(drift[c])):
+            if abs(drift[camera]) < LEAST_DRIFT * self.agreement.step:
+                break
+            clock = known[camera]
+            slope = drift[camera] / (after[-1] / 2)
+            turned = Clock(clock.offset + early[camera] - slope * after[-1] / 4, clock.rate + slope)
+            partners = self._partners(camera, {c: one for c, one in known.items() if c != camera})
+            found = refine(self.agreement, camera, turned, partners)
+            if found[1].fit > self.agreement.shares((camera, clock), partners).fit + DRIFTS:
+                known = known | {camera: found[0]}
+        return known
+
     def _pairs(self, known: dict[int, Clock]) -> list[PairOffset]:
         """What is left of the offset between neighbours once the clocks are known."""
-        offsets, rates = self._arrays(known)
-        moved = moved_to_clock(self.tracks, offsets, rates, self.agreement.usable)
+        moved = self._moved(known)
         partners = 2 if self.tracks.cameras <= MANY else 1
         return [
             search_offset(self.agreement, (i, known.get(i, Clock())), (j, known.get(j, Clock())))
             for i, j in chosen_pairs(moved, self.least, partners)
         ]
 
-    def _arrays(self, known: dict[int, Clock]):
+    def _moved(self, known: dict[int, Clock]) -> Tracks:
+        """The tracks on the common clock."""
         each = [known.get(c, Clock()) for c in range(self.tracks.cameras)]
-        return np.array([clock.offset for clock in each]), np.array([clock.rate for clock in each])
+        offsets, rates = np.array([clock.offset for clock in each]), np.array([clock.rate for clock in each])
+        return moved_to_clock(self.tracks, offsets, rates, self.agreement.usable)
 
     def _shifted(self, known: dict[int, Clock], pairs: list[PairOffset]) -> list[Clock]:
         """The clocks, with the fractions of a frame on which pairs of known ones agree."""

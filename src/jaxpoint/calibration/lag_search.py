@@ -9,7 +9,7 @@ that lag. It is not robust: what it finds are candidates, to be tried by a robus
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Int
 LENS = -0.1  # division-model parameter assumed per half diagonal, between no distortion and a strong one
 LONGEST_GAP = 500  # steps: where nobody saw the light for longer, the gap is shortened to this
 LEAST_OVERLAP = 0.25  # of the frames of the camera that saw the light less,
+LEAST_STRETCH = 0.6  # and where a stretch of one is compared with all of another: of that stretch,
 LEAST_FRAMES = 60  # and no fewer than these, must be compared at a lag
 _PAIRS = [(i, j) for i in range(3) for j in range(i, 3)]
 _MONOMIAL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])  # of two coordinates, its place in `_PAIRS`
@@ -74,14 +75,16 @@ class Misfits:
         return self.count * (usual - logs)
 
 
-def misfits(first: Float[np.ndarray, "6 N"], second: Float[np.ndarray, "6 M"]) -> Misfits:
+def misfits(
+    first: Float[np.ndarray, "6 N"], second: Float[np.ndarray, "6 M"], overlap: float = LEAST_OVERLAP
+) -> Misfits:
     """The misfit at every lag at which enough frames are compared."""
     size = _even_length(first.shape[1] + second.shape[1])
     spectra = np.conj(np.fft.rfft(first, size, axis=1))[:, None] * np.fft.rfft(second, size, axis=1)[None]
     sums = np.fft.irfft(spectra, size, axis=2)
     lags = np.arange(size)
     lags = np.where(lags > second.shape[1] - 1, lags - size, lags)
-    least = max(LEAST_FRAMES, LEAST_OVERLAP * min(first[5].sum(), second[5].sum()))
+    least = max(LEAST_FRAMES, overlap * min(first[5].sum(), second[5].sum()))
     enough = np.flatnonzero(sums[5, 5] >= least - 0.5)
     enough = enough[np.argsort(lags[enough])]
     count = sums[5, 5, enough]
@@ -118,6 +121,8 @@ def peaks(scores: Float[np.ndarray, " L"], lags: Int[np.ndarray, " L"], apart: i
 
 
 FASTEST = 2.2  # times the rate of another camera, or one over it, is the farthest rate that is tried
+STRETCH = 300  # times the tolerance in time: of how many frames rates are tried
+NEAR = 0.012  # log rate: as far from 1 rates are tried over the whole recording
 OFF_PX = 25.0  # at a width of 1280 px: how far off the light may be in time for a lag still to be found
 
 
@@ -128,8 +133,13 @@ class Candidate:
     offset: float  # frames late at the first frame of the tracks
     rate: float
     score: float
-    middle: float  # frames after the first of the tracks, about which it was found,
-    reach: float  # and to how many on either side
+    middle: float = 0.0  # frames after the first of the tracks, about which it was found,
+    reach: float = np.inf  # and to how many on either side
+    margin: float = np.inf  # times the score of the next best
+
+    def late(self) -> float:
+        """Frames late in the middle of what was compared."""
+        return self.offset + (self.rate - 1.0) * self.middle
 
 
 def tolerance(
@@ -142,101 +152,130 @@ def tolerance(
     return float(np.clip(OFF_PX / max([*seen, 1e-3]), 0.5, 6.0))
 
 
-def at_one_rate(courses: Courses, first: int, late: float, rate: float, second: int, most: int) -> list[Candidate]:
-    """The best lags of a second camera that runs as fast as the common clock.
+@dataclass(frozen=True)
+class Known:
+    """A camera whose clock is known: frame `rate * t + late` of it shows the moment t of the common clock (steps)."""
 
-    Args:
-        first: a camera of which frame `rate * t + late` shows the moment t of the common clock (steps).
-    """
+    camera: int
+    late: float
+    rate: float
+
+
+def at_one_rate(courses: Courses, first: Known, second: int, most: int) -> list[Candidate]:
+    """The best lags of a second camera that runs as fast as the common clock, best first."""
     places = np.arange(len(courses.points))
-    one = _sampled(courses, first, rate * places + late)
+    one, middle = _on_clock(courses, first, places), float(places[-1]) * courses.step / 2.0
     found = misfits(one, _sampled(courses, second, places.astype(float)))
     scores = found.scores()
-    span = float(len(places)) * courses.step
-    return [
-        Candidate(float(found.lags[i]) * courses.step, 1.0, float(scores[i]), span / 2, np.inf)
+    best = [
+        Candidate(float(found.lags[i]) * courses.step, 1.0, float(scores[i]), middle)
         for i in peaks(scores, found.lags, 5, most)
     ]
+    return _with_margins(best)
 
 
-def at_any_rate(
-    courses: Courses, first: int, late: float, rate: float, second: int, steps: float, most: int
-) -> list[Candidate]:
-    """The best lags and rates of a second camera, from a stretch of the first one.
+def at_near_rates(courses: Courses, first: Known, second: int, steps: float, most: int) -> list[Candidate]:
+    """The best lags and rates, rates near that of the common clock, over the whole recording.
 
     Args:
         steps: in time, by which lags may be off.
     """
-    every = max(1, round(steps))
-    window = _richest(courses.visible[:, first], round(300 * steps))
-    places = np.arange(window.start, window.stop, every)
-    one = _sampled(courses, first, rate * places + late)
-    spacing = 2.0 * steps / len(range(window.start, window.stop))
+    spacing = 2.0 * steps / len(courses.points)
+    count = max(2, int(np.ceil(NEAR / spacing)))
+    rates = np.exp(spacing * np.arange(-count, count + 1))
+    places = np.arange(0, len(courses.points), max(1, round(steps)))
+    found = _at_rates(courses, first, second, rates, places, LEAST_OVERLAP)
+    return _with_margins([replace(one, reach=np.inf) for one in _distinct(found, 4.0 * steps * courses.step, most)])
+
+
+def at_any_rate(courses: Courses, first: Known, second: int, steps: float, window: slice, most: int) -> list[Candidate]:
+    """The best lags and rates, from a stretch of the first camera.
+
+    Args:
+        steps: in time, by which lags may be off.
+        window: the stretch of the common clock, one of `stretches`.
+    """
+    places = np.arange(window.start, window.stop, max(1, round(steps)))
+    spacing = 2.0 * steps / (window.stop - window.start)
     count = int(np.ceil(np.log(FASTEST) / spacing))
     rates = np.exp(np.linspace(-np.log(FASTEST), np.log(FASTEST), 2 * count + 1))
-    found = []
-    for tried in rates:
-        found += _at_rate(courses, one, second, tried, places, every, most)
-    finer = []
-    for best in _distinct(found, window, 4.0 * steps * courses.step, most):
-        finer.append(_finer(courses, (first, late, rate), second, best, spacing, window, steps))
-    return sorted(finer, key=lambda one: -one.score)
+    found = _distinct(_at_rates(courses, first, second, rates, places, LEAST_STRETCH), 4.0 * steps * courses.step, most)
+    finer = [_finer(courses, first, second, best, spacing, window, steps) for best in found[:1]]
+    return _with_margins([*finer, *found[1:]])
 
 
-def _finer(courses, first, second, best: Candidate, spacing: float, window: slice, steps: float) -> Candidate:
+def _finer(courses, first: Known, second: int, best: Candidate, spacing: float, window: slice, steps: float):
     """The same candidate on a grid of every step in time and rates between those tried."""
-    camera, late, rate = first
-    places = np.arange(window.start, window.stop)
-    one = _sampled(courses, camera, rate * places + late)
-    tried = best.rate * np.exp(spacing * np.linspace(-0.75, 0.75, 7))
-    about = best.offset + (best.rate - 1.0) * best.middle
-    near = [
-        found
-        for value in tried
-        for found in _at_rate(courses, one, second, value, places, 1, 3)
-        if abs(found.offset + (found.rate - 1.0) * found.middle - about) <= 3.0 * steps * courses.step
-    ]
-    return max([best, *near], key=lambda one: one.score)
+    rates = best.rate * np.exp(spacing * np.linspace(-0.75, 0.75, 7))
+    found = _at_rates(courses, first, second, rates, np.arange(window.start, window.stop), LEAST_STRETCH)
+    near = [one for one in found if abs(one.late() - best.late()) <= 3.0 * steps * courses.step]
+    finer = max(near, key=lambda one: one.score, default=best)
+    return replace(finer, score=best.score)  # comparable with the others
 
 
-def _at_rate(courses, one, second, rate: float, places, every: int, most: int) -> list[Candidate]:
-    whole = np.arange(0, len(courses.points) / min(rate, 1.0), every)
-    found = misfits(one, _sampled(courses, second, rate * whole))
-    scores = found.scores()
+def _at_rates(courses, first: Known, second: int, rates, places, overlap: float) -> list[Candidate]:
+    """The best lags of every rate."""
+    one, every = _on_clock(courses, first, places), int(places[1] - places[0])
     middle, reach = (places[0] + places[-1]) / 2.0 * courses.step, (places[-1] - places[0]) / 2.0 * courses.step
-    start = places[0]  # the first sample of `one`, where the second's samples begin at 0
-    return [
-        Candidate(
-            float(rate * (found.lags[i] * every - start)) * courses.step, float(rate), float(scores[i]), middle, reach
-        )
-        for i in peaks(scores, found.lags, max(1, 5 // every), most)
-    ]
+    best = []
+    for rate in rates:
+        whole = np.arange(0, len(courses.points) / min(rate, 1.0), every)
+        found = misfits(one, _sampled(courses, second, rate * whole), overlap)
+        scores = found.scores() * min(1.0, rate)  # a slower camera's frames stand for several samples each
+        for i in peaks(scores, found.lags, max(1, 5 // every), 3):
+            # The first sample of `one` is `places[0]`, where that of the second is 0.
+            offset = float(rate * (found.lags[i] * every - places[0])) * courses.step
+            best.append(Candidate(offset, float(rate), float(scores[i]), float(middle), float(reach)))
+    return best
 
 
-def _distinct(found: list[Candidate], window: slice, apart: float, most: int) -> list[Candidate]:
+def _distinct(found: list[Candidate], apart: float, most: int) -> list[Candidate]:
     """The best of the candidates, one of those that are alike in the middle of the stretch."""
     best: list[Candidate] = []
     for one in sorted(found, key=lambda one: -one.score):
-        late = one.offset + (one.rate - 1.0) * one.middle
-        if all(abs(late - other.offset - (other.rate - 1.0) * other.middle) > apart for other in best):
+        if all(abs(one.late() - other.late()) > apart for other in best):
             best.append(one)
         if len(best) == most:
             break
     return best
 
 
-def _richest(visible: Bool[np.ndarray, " N"], length: int) -> slice:
-    """The stretch of at most this length in which a camera saw the light most."""
-    if len(visible) <= length:
-        return slice(0, len(visible))
-    seen = np.concatenate([[0], np.cumsum(visible)])
-    start = int(np.argmax(seen[length:] - seen[:-length]))
+def _with_margins(best: list[Candidate]) -> list[Candidate]:
+    following = [*(one.score for one in best[1:]), 0.0]
+    return [replace(one, margin=one.score / max(score, 1e-9)) for one, score in zip(best, following)]
+
+
+def _on_clock(courses: Courses, known: Known, places) -> Float[np.ndarray, "6 M"]:
+    return _sampled(courses, known.camera, known.rate * places + known.late)
+
+
+def stretches(visible: Bool[np.ndarray, " N"], steps: float) -> list[slice]:
+    """In either half of a recording the stretch in which a camera saw the light most; all of a short one.
+
+    In a stretch of few times `steps` few rates can be told apart, so that few need be tried.
+    """
+    length, half = round(STRETCH * max(steps, 1.0)), len(visible) // 2
+    if len(visible) <= 1.5 * length:
+        return [slice(0, len(visible))]
+    return [_richest(visible, slice(0, half), length), _richest(visible, slice(half, len(visible)), length)]
+
+
+def _richest(visible: Bool[np.ndarray, " N"], within: slice, length: int) -> slice:
+    """The part of at most this length in which a camera saw the light most."""
+    if within.stop - within.start <= length:
+        return within
+    seen = np.concatenate([[0], np.cumsum(visible[within])])
+    start = within.start + int(np.argmax(seen[length:] - seen[:-length]))
     return slice(start, start + length)
 
 
 def _sampled(courses: Courses, camera: int, places: Float[np.ndarray, " M"]) -> Float[np.ndarray, "6 M"]:
-    """Monomials of one camera's course at these places in time, the nearest frame of each."""
-    nearest = np.round(places).astype(int)
-    inside = (nearest >= 0) & (nearest < len(courses.points))
-    nearest = np.clip(nearest, 0, len(courses.points) - 1)
-    return monomials(courses.points[nearest, camera], courses.visible[nearest, camera] & inside)
+    """Monomials of one camera's course at these places in time: on the line between two frames, else the nearest."""
+    before = np.floor(places).astype(int)
+    last = len(courses.points) - 1
+    near, far = (np.clip(k, 0, last) for k in (np.round(places).astype(int), before + (np.round(places) == before)))
+    points, visible = courses.points[:, camera], courses.visible[:, camera]
+    part = np.where(visible[far], np.abs(places - np.round(places)), 0.0)[:, None]
+    return monomials(
+        (1.0 - part) * points[near] + part * points[far], visible[near] & (places >= -0.5) & (places <= last + 0.5)
+    )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.clock_fit import Agreement, Clock
 from jaxpoint.camera.rig import CameraRig
@@ -81,7 +81,12 @@ def chosen_pairs(tracks: Tracks, least: int, partners: int) -> list[tuple[int, i
     return sorted(pair for pair in pairs if shared[pair] >= least)
 
 
-def search_offset(agreement: Agreement, first: tuple[int, Clock], second: tuple[int, Clock]) -> PairOffset:
+def search_offset(
+    agreement: Agreement,
+    first: tuple[int, Clock],
+    second: tuple[int, Clock],
+    within: Bool[np.ndarray, " F"] | None = None,
+) -> PairOffset:
     """What the second camera is late beyond its clock.
 
     Whole frames first, then halves and quarters about the best, then the top of the parabola through three.
@@ -89,7 +94,7 @@ def search_offset(agreement: Agreement, first: tuple[int, Clock], second: tuple[
     camera, clock = second
 
     def fit(offset: float) -> float:
-        return agreement.share(first, (camera, replace(clock, offset=clock.offset + clock.rate * offset))).fit
+        return agreement.share(first, (camera, replace(clock, offset=clock.offset + clock.rate * offset)), within).fit
 
     best = max((float(k) for k in range(-REACH, REACH + 1)), key=fit)
     for step in (0.5, 0.25):
