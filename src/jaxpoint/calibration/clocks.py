@@ -135,7 +135,7 @@ class _Survey:
     # Which cameras agree as they are.
 
     def _groups_in_step(self) -> list[list[int]]:
-        """Cameras linked by pairs that agree in step; the largest group first, that of the first camera before others."""
+        """Cameras linked by pairs that agree in step; the largest group first, of equal ones the first camera's."""
         group = list(range(self.tracks.cameras))
         for first, second in self._tried():
             if self._agree_in_step(first, second):

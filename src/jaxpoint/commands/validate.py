@@ -101,8 +101,9 @@ def _judge(lengths: LengthValidation, allowed_mm: float) -> QualityError | None:
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
     from jaxpoint.validation import validate_held_out
 
-    # The timestamps of the run belong to its own recording.
-    return validate_held_out(run.calibration.rig, tracks_from(path, replace(run.config.input, timestamps=None)))
+    # The timestamps and clocks of the run belong to its own recording; a camera left out is none of the rig.
+    settings = replace(run.config.input, timestamps=None, offset=(), rate=())
+    return validate_held_out(run.calibration.rig, tracks_from(path, settings))
 
 
 def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationDifference]:

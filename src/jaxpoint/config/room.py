@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 from jaxpoint.config.loading import load_settings
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.point import PointSettings
@@ -124,6 +126,14 @@ class InputSettings:
     """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None
     """Known intrinsics: a calibration.json or .toml, or a folder of *.rad files; see `lens.known`."""
+    offset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """NAME=FRAMES, once for each camera out of step: it shows the light so many frames late (early: negative) at the
+    first frame of the tracks. `cam_2=37` takes its frame 37 as the others' frame 0."""
+    rate: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """NAME=RATE, frames a second, once for each camera that runs faster or slower than the others; these run at
+    `all=30`, or at the rate of the tracks' times. Only ratios matter: `all=1`, `cam_2=0.9943` will do."""
+    leave_out: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Name of a camera that is not used; once for each."""
 
 
 @dataclass(frozen=True)
