@@ -11,6 +11,7 @@ from jaxtyping import Bool
 from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, fit_pair, normalised, pair_threshold
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
+from jaxpoint.epipolar import PairFit
 from jaxpoint.motion import Motion, frame_step, motion, on_clock, without_jumps
 from jaxpoint.tracks import Tracks
 
@@ -52,6 +53,20 @@ class Share:
     def beyond_chance(self) -> float:
         """Matches that fit, over those that fit whatever the clocks."""
         return (self.fit - CHANCE) * self.matches
+
+
+@dataclass(frozen=True)
+class PairView:
+    """Two cameras' views on one clock, and the geometry that fits them."""
+
+    first: Float[np.ndarray, "P 2"]  # over half the image diagonal, distorted
+    second: Float[np.ndarray, "P 2"]
+    seen: Bool[np.ndarray, " P"]  # by both
+    rows: Int[np.ndarray, " N"]  # of the tracks; the other places only pad
+    fundamental: Float[np.ndarray, "3 3"]
+    lenses: Float[np.ndarray, " 2"]  # division-model parameters
+    half_diagonals: Float[np.ndarray, " 2"]  # px
+    width: float  # px
 
 
 class Agreement:
@@ -99,21 +114,37 @@ class Agreement:
         rows = np.arange(self.tracks.frames) if within is None else np.flatnonzero(within)
         return rows[:: max(1, -(-len(rows) // MOST_FRAMES))]
 
+    def pair(self, first: tuple[int, Clock], second: tuple[int, Clock]) -> PairView:
+        """Two views on one clock, and their epipolar geometry."""
+        views = _side_by_side(self._column(*first, None), self._column(*second, None))
+        found = self._geometry(views)
+        lens = np.zeros(2) if self._intrinsics is not None else FIRST_LENSES[int(found.choice)]
+        points, seen = views.points, views.visible.all(axis=1)
+        matrix, width = np.array(found.fundamental), float(views.widths.mean())
+        return PairView(points[:, 0], points[:, 1], seen, self._rows(None), matrix, lens, views.half_diagonals, width)
+
     def _fit(self, first: NormalisedTracks, second: NormalisedTracks) -> Share:
-        pair = NormalisedTracks(
-            np.concatenate([first.points, second.points], axis=1),
-            np.concatenate([first.visible, second.visible], axis=1),
-            np.concatenate([first.half_diagonals, second.half_diagonals]),
-            np.concatenate([first.widths, second.widths]),
-        )
-        seen = pair.visible.all(axis=1)
+        views = _side_by_side(first, second)
+        seen = views.visible.all(axis=1)
         if seen.sum() < self._settings.min_shared_frames:
             return Share(0.0, 0.0)
-        threshold = LOOSE * pair_threshold(pair, (0, 1), self._settings)
-        lenses = FIRST_LENSES if self._intrinsics is None else np.zeros_like(FIRST_LENSES)
-        rng = np.random.default_rng(self._seed)
-        errors = np.asarray(fit_pair(pair, (0, 1), self._settings, rng, lenses, threshold).error)[seen]
+        threshold = LOOSE * pair_threshold(views, (0, 1), self._settings)
+        errors = np.asarray(self._geometry(views).error)[seen]
         return Share(float(np.maximum(0.0, 1.0 - (errors / threshold) ** 2).mean()), float(seen.sum()))
+
+    def _geometry(self, views: NormalisedTracks) -> PairFit:
+        threshold = LOOSE * pair_threshold(views, (0, 1), self._settings)
+        lenses = FIRST_LENSES if self._intrinsics is None else np.zeros_like(FIRST_LENSES)
+        return fit_pair(views, (0, 1), self._settings, np.random.default_rng(self._seed), lenses, threshold)
+
+
+def _side_by_side(first: NormalisedTracks, second: NormalisedTracks) -> NormalisedTracks:
+    return NormalisedTracks(
+        np.concatenate([first.points, second.points], axis=1),
+        np.concatenate([first.visible, second.visible], axis=1),
+        np.concatenate([first.half_diagonals, second.half_diagonals]),
+        np.concatenate([first.widths, second.widths]),
+    )
 
 
 def _of_camera(moving: Motion, camera: int) -> Motion:

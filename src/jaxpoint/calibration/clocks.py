@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxpoint.calibration.clock_fit import DRIFTS, Agreement, Clock, Share, refine
+from jaxpoint.calibration.clock_polish import polish
 from jaxpoint.calibration.lag_search import (
     Candidate,
     Courses,
@@ -303,6 +304,9 @@ class _Survey:
             found = refine(self.agreement, camera, turned, partners)
             if found[1].fit > self.agreement.shares((camera, clock), partners).fit + DRIFTS:
                 known = known | {camera: found[0]}
+        for camera in [c for c, clock in known.items() if clock.rate != 1.0]:
+            partners = self._partners(camera, {c: one for c, one in known.items() if c != camera})
+            known = known | {camera: polish(self.agreement, camera, known[camera], partners)}
         return known
 
     def _pairs(self, known: dict[int, Clock]) -> list[PairOffset]:

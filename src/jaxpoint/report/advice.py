@@ -187,8 +187,8 @@ def on_timing(summary: Summary) -> Iterator[Advice]:
         yield Advice(
             f"The residuals of camera {summary.names[camera]} follow the light's motion: it shows it at least "
             f"{abs(offset[camera]):.2f} frames {when} the others.",
-            f"{_SOLVE_OFFSETS}{'' if abs(offset[camera]) < 1.0 else ' up to 2 frames; `jaxpoint check` finds larger ones'}"
-            ", or mend the synchronisation (trigger, dropped frames, clocks).",
+            f"{_SOLVE_OFFSETS} up to 2 frames (`jaxpoint check` finds larger ones, and rates), or mend the "
+            "synchronisation (trigger, dropped frames, clocks).",
             urgent=bool(abs(offset[camera]) > 0.1),
         )
 

@@ -104,8 +104,8 @@ def _common(rate: float) -> float:
 
 
 def _rate(clock: CameraClock, common: float, timing: Timing) -> str:
-    """With as many digits as matter: a tenth of a frame over the recording."""
-    digits = int(np.clip(np.ceil(np.log10(max(timing.span, 1.0) * 10.0 / common)), 2, 6))
+    """With as many digits as matter: a fiftieth of a frame over the recording."""
+    digits = int(np.clip(np.ceil(np.log10(max(timing.span, 1.0) * 50.0 / common)), 2, 7))
     return f"{clock.rate * common:.{digits}f}".rstrip("0").rstrip(".")
 
 
