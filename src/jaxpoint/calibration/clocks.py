@@ -31,7 +31,8 @@ from jaxpoint.calibration.offset_search import PairOffset, chosen_pairs, joint_o
 from jaxpoint.calibration.twoview import normalised
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
-from jaxpoint.motion import moved_to_clock
+from jaxpoint.motion import moved_to_clock, without_jumps
+from jaxpoint.repeats import regular_steps, without_steps
 from jaxpoint.tracks import Tracks
 
 IN_STEP = 0.7  # share of matches that fit in step: more, and a pair is
@@ -61,6 +62,7 @@ class CameraClock:
     share_before: float  # 0..1, of its matches with others that fit one epipolar geometry, all taken as in step
     share_after: float  # and under the clocks that were found
     certain: bool  # False: no clock makes this camera fit the others well
+    even: bool = True  # False: in step but for frames that its recording repeats or skips at regular intervals
 
     @property
     def in_step(self) -> bool:
@@ -102,7 +104,28 @@ def survey_clocks(
         progress: called with the number of cameras done, and of all.
     """
     with jax.enable_x64(True):
-        return _Survey(tracks, settings, seed, intrinsics, progress).run()
+        found = _Survey(tracks, settings, seed, intrinsics, progress).run()
+        return _without_steps(found, tracks, settings, seed, intrinsics)
+
+
+def _without_steps(found: ClockSurvey, tracks: Tracks, settings, seed, intrinsics) -> ClockSurvey:
+    """The survey, looked at anew without the frames that cameras repeat (or with those that they skip) regularly."""
+    steps = {}
+    usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
+    for camera, clock in enumerate(found.clocks):
+        if clock.rate != 1.0 and (own := regular_steps(tracks, camera, usable, clock.rate)) is not None:
+            steps[camera] = own
+            tracks = without_steps(tracks, camera, own)
+    if not steps:
+        return found
+    again = _Survey(tracks, settings, seed, intrinsics, None).run()
+    clocks = list(found.clocks)
+    for camera, own in steps.items():
+        if again.clocks[camera].certain and again.clocks[camera].rate == 1.0:
+            clocks[camera] = replace(
+                again.clocks[camera], rate=own.rate, even=False, share_before=found.clocks[camera].share_before
+            )
+    return replace(found, clocks=tuple(clocks))
 
 
 class _Survey:

@@ -44,6 +44,9 @@ def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
 
     offsets, rates = given_offsets(tracks, settings.offset), given_rates(tracks, settings.rate)
     usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
+    for camera in np.flatnonzero(rates != 1.0).tolist():
+        tracks, rates[camera] = _evenly(tracks, camera, usable, float(rates[camera]))
+    usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
     moved = moved_to_clock(tracks, offsets, rates, usable)
     empty = np.flatnonzero(tracks.visible.any(axis=0) & ~moved.visible.any(axis=0))
     if len(empty):
@@ -53,6 +56,23 @@ def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
             "and --rate."
         )
     return moved
+
+
+def _evenly(tracks: Tracks, camera: int, usable, rate: float) -> tuple[Tracks, float]:
+    """The tracks with a camera's frames evenly in time, and its rate then.
+
+    A recording at 30 frames a second of a camera that gives 29.83 repeats a frame now and then (one of 30.17 skips
+    one); its light must not be moved evenly, but the frames be counted as the camera gave them.
+    """
+    from jaxpoint.repeats import regular_steps, without_steps
+
+    for in_file in (1.0 / rate, rate):
+        steps = regular_steps(tracks, camera, usable, in_file)
+        if steps is not None:
+            left = in_file / steps.rate
+            known_well = abs(left - 1.0) * (tracks.frame_ids[-1] - tracks.frame_ids[0]) < 1.0
+            return without_steps(tracks, camera, steps), 1.0 if known_well else left
+    return tracks, rate
 
 
 def given_offsets(tracks: Tracks, given: Sequence[str]) -> Float[np.ndarray, " C"]:

@@ -131,7 +131,8 @@ class InputSettings:
     first frame of the tracks. `cam_2=37` takes its frame 37 as the others' frame 0."""
     rate: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """NAME=RATE, frames a second, once for each camera that runs faster or slower than the others; these run at
-    `all=30`, or at the rate of the tracks' times. Only ratios matter: `all=1`, `cam_2=0.9943` will do."""
+    `all=30`, or at the rate of the tracks' times. Only ratios matter. `all=30` and `cam_2=29.83`: its frame 2983 shows
+    what the others' frame 3000 shows; where its recording repeats or skips frames for that, these are put right."""
     leave_out: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Name of a camera that is not used; once for each."""
 

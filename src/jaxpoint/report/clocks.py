@@ -41,19 +41,23 @@ def finding(clock: CameraClock, timing: Timing) -> str:
     late = f"shows the light {abs(offset):g} frames {'late' if offset > 0 else 'early'}"
     if clock.rate == 1.0:
         return f"Camera {clock.name} {late}."
-    if timing.rate is None:
-        runs = f"runs {_rate(clock, 1.0, timing)} times as fast as the others (as {30 * clock.rate:.2f} beside 30)"
+    common, rate = _common(timing.rate), _rate(clock, timing)
+    if not clock.even:
+        interval = f"{1.0 / abs(1.0 - 1.0 / clock.rate):.0f}"
+        does = "repeats" if clock.rate > 1.0 else "skips"
+        runs = f"{does} a frame every {interval} frames, as one of {rate} frames a second recorded at {common:g} does"
+    elif timing.rate is None:
+        runs = f"runs {clock.rate:.5g} times as fast as the others, as {rate} frames a second beside {common:g}"
     else:
-        common = _common(timing.rate)
-        runs = f"runs at {_rate(clock, common, timing)} frames a second beside {common:g}"
+        runs = f"runs at {rate} frames a second beside {common:g}"
     return f"Camera {clock.name} {runs}" + (f" and {late} at the first." if abs(offset) >= 0.5 else ".")
 
 
 def flags(clocks: Sequence[CameraClock], timing: Timing) -> str:
     """The flags that bring these cameras to the clock of the others."""
-    common = 1.0 if timing.rate is None else _common(timing.rate)
+    common = _common(timing.rate)
     late = [f"--offset {_quoted(c.name)}={_round_offset(c):g}" for c in clocks if abs(_round_offset(c)) >= 0.1]
-    rates = [f"--rate {_quoted(c.name)}={_rate(c, common, timing)}" for c in clocks if c.rate != 1.0]
+    rates = [f"--rate {_quoted(c.name)}={_rate(c, timing)}" for c in clocks if c.rate != 1.0]
     return " ".join([*late, *([f"--rate all={common:g}"] if rates else []), *rates])
 
 
@@ -98,15 +102,17 @@ def _round_offset(clock: CameraClock) -> float:
     return whole if abs(clock.offset_frames - whole) < 0.15 else float(np.round(clock.offset_frames, 1))
 
 
-def _common(rate: float) -> float:
-    """A rate as people write it."""
-    return float(f"{rate:.5g}")
+def _common(rate: float | None) -> float:
+    """A rate as people write it; where it is not known 30 will do, as only ratios matter."""
+    return 30.0 if rate is None else float(f"{rate:.5g}")
 
 
-def _rate(clock: CameraClock, common: float, timing: Timing) -> str:
-    """With as many digits as matter: a fiftieth of a frame over the recording."""
+def _rate(clock: CameraClock, timing: Timing) -> str:
+    """Frames a second that the camera gave, with as many digits as matter: a fiftieth of a frame over the recording."""
+    common = _common(timing.rate)
     digits = int(np.clip(np.ceil(np.log10(max(timing.span, 1.0) * 50.0 / common)), 2, 7))
-    return f"{clock.rate * common:.{digits}f}".rstrip("0").rstrip(".")
+    rate = common * (clock.rate if clock.even else 1.0 / clock.rate)
+    return f"{rate:.{digits}f}".rstrip("0").rstrip(".")
 
 
 def _quoted(name: str) -> str:
