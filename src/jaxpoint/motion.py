@@ -101,6 +101,15 @@ def without_jumps(
     return visible & ~(known & (away > np.maximum(JUMP * typical, JUMP_PX * widths / 1280.0)))
 
 
+def held_still(pixels: Float[np.ndarray, "F C 2"], visible: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
+    """Observations at exactly the pixel of both rows before: an image that froze, or a light that rests."""
+    same = np.zeros_like(visible)
+    same[1:] = visible[1:] & visible[:-1] & (pixels[1:] == pixels[:-1]).all(axis=2)
+    held = same.copy()
+    held[1:] &= same[:-1]
+    return held
+
+
 def _distance_from_neighbours(pixels, visible, frame_ids) -> Float[np.ndarray, "F C"]:
     """Distance from the nearest prediction by two rows around each; infinite where there is none."""
     step, rows = frame_step(frame_ids), np.arange(len(frame_ids))

@@ -12,7 +12,7 @@ from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
 from jaxpoint.epipolar import PairFit
-from jaxpoint.motion import Motion, frame_step, motion, on_clock, without_jumps
+from jaxpoint.motion import Motion, frame_step, held_still, motion, on_clock, without_jumps
 from jaxpoint.tracks import Tracks
 
 MOST_FRAMES = 2000  # of a longer recording every n-th are compared
@@ -73,11 +73,12 @@ class Agreement:
     """Shares of matches for cameras under any clocks; what was computed once is kept."""
 
     def __init__(self, tracks: Tracks, settings: EpipolarSettings, seed: int, intrinsics: CameraRig | None):
-        self.tracks = tracks
         self.step = frame_step(tracks.frame_ids)
-        self.usable = without_jumps(
-            tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float)
-        )
+        # A pixel that stands still fits any clock.
+        moving = tracks.visible & ~held_still(tracks.pixels, tracks.visible)
+        self.tracks = tracks = replace_visible(tracks, moving)
+        widths = tracks.image_sizes[:, 0].astype(float)
+        self.usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, widths)
         self._settings = replace(settings, samples=min(settings.samples, SAMPLES))
         self._seed, self._intrinsics = seed, intrinsics
         self._moving = motion(tracks.pixels, self.usable, tracks.frame_ids)
@@ -144,6 +145,14 @@ def _side_by_side(first: NormalisedTracks, second: NormalisedTracks) -> Normalis
         np.concatenate([first.visible, second.visible], axis=1),
         np.concatenate([first.half_diagonals, second.half_diagonals]),
         np.concatenate([first.widths, second.widths]),
+    )
+
+
+def replace_visible(tracks: Tracks, visible: Bool[np.ndarray, "F C"]) -> Tracks:
+    """The tracks with fewer observations."""
+    pixels = np.where(visible[..., None], tracks.pixels, 0.0)
+    return Tracks(
+        pixels, visible, tracks.image_sizes, tracks.frame_ids, tracks.times, tracks.names, tracks.pixel_aspects
     )
 
 

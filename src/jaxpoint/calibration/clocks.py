@@ -130,8 +130,8 @@ def _without_steps(found: ClockSurvey, tracks: Tracks, settings, seed, intrinsic
 
 class _Survey:
     def __init__(self, tracks: Tracks, settings, seed, intrinsics, progress):
-        self.tracks = tracks
         self.agreement = Agreement(tracks, settings, seed, intrinsics)
+        self.tracks = tracks = self.agreement.tracks
         self.courses = _courses(tracks, self.agreement, intrinsics)
         self.half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
         self.least = settings.min_shared_frames
@@ -241,7 +241,7 @@ class _Survey:
             return
         for one in others[:2]:
             yield at_near_rates(self.courses, one, camera, self._tolerance(one.camera, camera), LAGS)
-        for one in others[:2]:
+        for one in others[:1]:
             steps = self._tolerance(one.camera, camera)
             for window in stretches(self.courses.visible[:, one.camera], steps):
                 if self.searches:

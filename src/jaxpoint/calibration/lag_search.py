@@ -120,7 +120,8 @@ def peaks(scores: Float[np.ndarray, " L"], lags: Int[np.ndarray, " L"], apart: i
         left[near] = -np.inf
 
 
-FASTEST = 2.2  # times the rate of another camera, or one over it, is the farthest rate that is tried
+FASTEST = 1.3  # times the rate of another camera, or one over it, is the farthest rate that is tried,
+DOUBLE = 0.06  # but for rates of twice and of half of it, to within this (log)
 STRETCH = 300  # times the tolerance in time: of how many frames rates are tried
 NEAR = 0.012  # log rate: as far from 1 rates are tried over the whole recording
 OFF_PX = 25.0  # at a width of 1280 px: how far off the light may be in time for a lag still to be found
@@ -197,8 +198,8 @@ def at_any_rate(courses: Courses, first: Known, second: int, steps: float, windo
     """
     places = np.arange(window.start, window.stop, max(1, round(steps)))
     spacing = 2.0 * steps / (window.stop - window.start)
-    count = int(np.ceil(np.log(FASTEST) / spacing))
-    rates = np.exp(np.linspace(-np.log(FASTEST), np.log(FASTEST), 2 * count + 1))
+    bands = ((-np.log(FASTEST), np.log(FASTEST)), *((at - DOUBLE, at + DOUBLE) for at in (-np.log(2.0), np.log(2.0))))
+    rates = np.exp(np.concatenate([np.arange(low, high, spacing) for low, high in bands]))
     found = _distinct(_at_rates(courses, first, second, rates, places, LEAST_STRETCH), 4.0 * steps * courses.step, most)
     finer = [_finer(courses, first, second, best, spacing, window, steps) for best in found[:1]]
     return _with_margins([*finer, *found[1:]])

@@ -103,7 +103,7 @@ def _failure(
         check_pairs(tracks, pairs, known_intrinsics=known_intrinsics)
     except InsufficientDataError as error:
         return error
-    for problem in problems(clocks.clocks, Timing.of(tracks), held_share(tracks.pixels, tracks.visible)):
+    for problem in problems(clocks.clocks, Timing.of(tracks), held_share(tracks)):
         return InsufficientDataError(problem)
     return None
 

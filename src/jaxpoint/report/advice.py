@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.calibration.clocks import CameraClock
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
-from jaxpoint.report.clocks import Timing, cause, contradicts, finding, flags, held_share
+from jaxpoint.report.clocks import HELD, Timing, cause, contradicts, finding, flags, held_share
 from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_cells, image_coverage
 from jaxpoint.report.sync import time_offsets
 from jaxpoint.tracks import Tracks
@@ -60,7 +60,7 @@ def advise_on_tracks(tracks: Tracks, clocks: Sequence[CameraClock] = ()) -> list
     found = [
         *on_recording(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes, shared),
         *on_views(tracks.visible),
-        *on_clocks(clocks, Timing.of(tracks), held_share(tracks.pixels, tracks.visible)),
+        *on_clocks(clocks, Timing.of(tracks), held_share(tracks)),
         *on_offsets(clocks),
     ]
     return sorted(found, key=lambda advice: not advice.urgent)
@@ -207,7 +207,7 @@ def on_clocks(clocks: Sequence[CameraClock], timing: Timing, held: Float[np.ndar
             urgent=True,
         )
     for clock, share in zip(clocks, held):
-        if not clock.certain:
+        if not clock.certain or share > HELD:
             yield Advice(*cause(float(share), clock), urgent=True)
 
 

@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from jaxpoint.calibration.clocks import CameraClock
+from jaxpoint.motion import held_still
+from jaxpoint.tracks import Tracks
 
 FAR = 2.0  # frames: an offset that `calibrate --time-offsets` does not find by itself
-HELD = 0.3  # share of a camera's sightings at exactly the pixel of the one before: its image froze
+HELD = 0.2  # share of a camera's sightings that stand on one pixel while the light moves: its image froze
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class Timing:
     span: float  # frames from the first to the last of the tracks
 
     @staticmethod
-    def of(tracks) -> Timing:
+    def of(tracks: Tracks) -> Timing:
         """As tracks have it."""
         seconds = np.diff(tracks.times) if tracks.times is not None else np.zeros(0)
         moving = seconds > 0
@@ -41,7 +43,8 @@ def finding(clock: CameraClock, timing: Timing) -> str:
     late = f"shows the light {abs(offset):g} frames {'late' if offset > 0 else 'early'}"
     if clock.rate == 1.0:
         return f"Camera {clock.name} {late}."
-    common, rate = _common(timing.rate), _rate(clock, timing)
+    common = _common(timing.rate)
+    rate = f"{float(_rate(clock, timing)):.2f}"
     if not clock.even:
         interval = f"{1.0 / abs(1.0 - 1.0 / clock.rate):.0f}"
         does = "repeats" if clock.rate > 1.0 else "skips"
@@ -65,25 +68,30 @@ def cause(held: float, clock: CameraClock) -> tuple[str, str]:
     """Why a camera fits no other, as far as its tracks tell, and what to do.
 
     Args:
-        held: fraction of its sightings at exactly the pixel of the one before.
+        held: as `held_share` has it.
     """
+    leave = f"Leave it out by `--leave-out {_quoted(clock.name)}`"
+    if held > HELD:
+        return (
+            f"The light of camera {clock.name} stands on one pixel in {held:.0%} of its frames, while it moves in others.",
+            f"Its image froze. {leave}, or record anew.",
+        )
     said = (
         f"Camera {clock.name} fits no other, in step or at any lag or rate that was tried: at best "
         f"{clock.share_after:.0%} of its matches agree on one epipolar geometry"
     )
-    leave = f"Leave it out by `--leave-out {_quoted(clock.name)}`"
-    if held > HELD:
-        return f"{said}, and its light rests on one pixel in {held:.0%} of its frames.", f"Its image froze. {leave}."
     return (
         f"{said}.",
         f"Is it of this recording and room, was it moved, did it lose frames, or is it full of reflections? {leave}.",
     )
 
 
-def held_share(pixels: Float[np.ndarray, "F C 2"], visible: Bool[np.ndarray, "F C"]) -> Float[np.ndarray, " C"]:
-    """Fraction of each camera's sightings at exactly the pixel of the row before."""
-    same = visible[1:] & visible[:-1] & (pixels[1:] == pixels[:-1]).all(axis=2)
-    return same.sum(axis=0) / np.maximum(visible.sum(axis=0), 1)
+def held_share(tracks: Tracks) -> Float[np.ndarray, " C"]:
+    """Fraction of each camera's sightings that stand on one pixel while the light moves in most others."""
+    held = held_still(tracks.pixels, tracks.visible)
+    shown = tracks.visible & np.append(np.zeros((1, tracks.cameras), bool), tracks.visible[:-1], axis=0)
+    others = (shown & ~held).sum(axis=1, keepdims=True) >= np.maximum(1, shown.sum(axis=1, keepdims=True) / 2.0)
+    return (held & others).sum(axis=0) / np.maximum(tracks.visible.sum(axis=0), 1)
 
 
 def problems(clocks: Sequence[CameraClock], timing: Timing, held: Float[np.ndarray, " C"]) -> Iterator[str]:
@@ -92,7 +100,7 @@ def problems(clocks: Sequence[CameraClock], timing: Timing, held: Float[np.ndarr
     if wrong:
         yield " ".join(finding(clock, timing) for clock in wrong) + f" Give {flags(wrong, timing)}."
     for clock, share in zip(clocks, held):
-        if not clock.certain:
+        if not clock.certain or share > HELD:
             yield " ".join(cause(float(share), clock))
 
 
