@@ -102,11 +102,13 @@ def without_jumps(
 
 
 def held_still(pixels: Float[np.ndarray, "F C 2"], visible: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
-    """Observations at exactly the pixel of both rows before: an image that froze, or a light that rests."""
-    same = np.zeros_like(visible)
-    same[1:] = visible[1:] & visible[:-1] & (pixels[1:] == pixels[:-1]).all(axis=2)
-    held = same.copy()
-    held[1:] &= same[:-1]
+    """Observations that stand, three in turn or more, at exactly one pixel: an image that froze, or a light at rest."""
+    held = np.zeros_like(visible)
+    for camera in range(visible.shape[1]):
+        rows = np.flatnonzero(visible[:, camera])
+        same = (np.diff(pixels[rows, camera], axis=0) == 0).all(axis=1)
+        for run in np.flatnonzero(same[1:] & same[:-1]):
+            held[rows[run : run + 3], camera] = True
     return held
 
 

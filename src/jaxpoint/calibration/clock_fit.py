@@ -20,7 +20,7 @@ SAMPLES = 128  # minimal samples a fit: fewer than for the geometry itself, but 
 STEPS = (2.0, 1.0, 0.5, 0.25)  # by which both ends of a camera's clock are moved, coarse to fine
 TRIES = 8  # moves at each of these
 CHANCE = 0.25  # share of matches that some epipolar geometry fits whatever the clocks, about
-HOPEFUL = 0.4  # share of matches where a clock was found: less, and it is not followed farther
+HOPEFUL = 0.35  # share of matches where a clock was found: less, and it is not followed farther
 DRIFTS = 0.02  # by so much the share must rise before a rate of its own is believed
 
 
@@ -196,6 +196,8 @@ def _search(agreement: Agreement, camera, start: Clock, others, ends, within) ->
     together = ((1, 1), (-1, -1))
     apart = (*together, (1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1))
     best = _descend(agreement, camera, start, others, ends, within, together)
+    if best[1].fit < HOPEFUL:
+        return best
     drifting = _descend(agreement, camera, best[0], others, ends, within, apart)
     return drifting if drifting[1].fit > best[1].fit + DRIFTS else best
 

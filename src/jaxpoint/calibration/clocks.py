@@ -42,7 +42,9 @@ CERTAIN_OF_FEW = 0.9  # nor does this, where less than
 OVERLAP = 0.5  # of the frames can be compared.
 STANDS_OUT = 1.3  # times the matches beyond chance of any other lag must fit at a clock
 LIKELY = 1.3  # times the score of the next best candidate: less, and it is chance
-NEARLY = 0.35  # share of matches in step from which a search for the right clock starts
+PROMISING = 0.27  # share of matches at a candidate from which the right clock is looked for,
+PROMISING_OF_FEW = 0.6  # where few frames can be compared,
+NEARLY = 0.35  # and in step
 PARTNERS = 3  # cameras of the group with which a camera is compared
 MANY = 6  # cameras: of more, not all pairs are tried
 LAGS = 4  # candidates of each pair
@@ -266,7 +268,10 @@ class _Survey:
         for one in candidates:
             clock = Clock(one.offset, one.rate)
             tried[clock] = self.agreement.shares((camera, clock), partners, self._within(one))
-            if one.margin >= LIKELY and (one.score > 0 or tried[clock].fit > NEARLY):
+            least = PROMISING if one.score > 0 else NEARLY
+            if np.isinf(one.reach) and tried[clock].matches < OVERLAP * self._most(camera, partners):
+                least = PROMISING_OF_FEW
+            if one.margin >= LIKELY and tried[clock].fit > least:
                 ranked.append((tried[clock].beyond_chance, clock, one))
         ranked.sort(key=lambda item: -item[0])
         best = Clock(), Share(0.0, 0.0)
@@ -329,7 +334,9 @@ class _Survey:
                 known = known | {camera: found[0]}
         for camera in [c for c, clock in known.items() if clock.rate != 1.0]:
             partners = self._partners(camera, {c: one for c, one in known.items() if c != camera})
-            known = known | {camera: polish(self.agreement, camera, known[camera], partners)}
+            turned = polish(self.agreement, camera, known[camera], partners)
+            slow = abs(turned.rate - 1.0) * after[-1] < LEAST_DRIFT * self.agreement.step
+            known = known | {camera: Clock(turned.at(after[-1] / 2)) if slow else turned}
         return known
 
     def _pairs(self, known: dict[int, Clock]) -> list[PairOffset]:

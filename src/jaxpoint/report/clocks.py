@@ -73,7 +73,7 @@ def cause(held: float, clock: CameraClock) -> tuple[str, str]:
     leave = f"Leave it out by `--leave-out {_quoted(clock.name)}`"
     if held > HELD:
         return (
-            f"The light of camera {clock.name} stands on one pixel in {held:.0%} of its frames, while it moves in others.",
+            f"The light of camera {clock.name} stands on one pixel in {held:.0%} of its frames, and moves in others.",
             f"Its image froze. {leave}, or record anew.",
         )
     said = (
@@ -89,8 +89,8 @@ def cause(held: float, clock: CameraClock) -> tuple[str, str]:
 def held_share(tracks: Tracks) -> Float[np.ndarray, " C"]:
     """Fraction of each camera's sightings that stand on one pixel while the light moves in most others."""
     held = held_still(tracks.pixels, tracks.visible)
-    shown = tracks.visible & np.append(np.zeros((1, tracks.cameras), bool), tracks.visible[:-1], axis=0)
-    others = (shown & ~held).sum(axis=1, keepdims=True) >= np.maximum(1, shown.sum(axis=1, keepdims=True) / 2.0)
+    moving = (tracks.visible & ~held).sum(axis=1, keepdims=True)
+    others = moving >= np.maximum(1, tracks.visible.sum(axis=1, keepdims=True) / 2.0)
     return (held & others).sum(axis=0) / np.maximum(tracks.visible.sum(axis=0), 1)
 
 
