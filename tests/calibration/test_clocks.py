@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clock_rooms import room_with_clocks, with_camera
+from scipy.interpolate import CubicSpline
 
 from jaxpoint.calibration.clocks import find_clocks, survey_clocks
 from jaxpoint.commands.inputs import tracks_from
@@ -12,6 +12,40 @@ from jaxpoint.config import EpipolarSettings, InputSettings
 from jaxpoint.io.svoboda import read_svoboda
 from jaxpoint.io.tracks import read_tracks
 from jaxpoint.report.clocks import Timing, contradicts, flags
+from jaxpoint.simulate.rooms import random_room
+from jaxpoint.tracks import Tracks
+
+LEAD = 300  # frames of the light before the first of the tracks, for cameras that show it late
+
+
+def room_with_clocks(seed, offsets, rates=None, frames=900, stride=24):
+    """Tracks of cameras of which frame f shows the light at (f - offset) / rate; 2 % outliers, 5 % not seen."""
+    offsets = np.asarray(offsets, float)
+    rates = np.ones(len(offsets)) if rates is None else np.asarray(rates, float)
+    room = random_room(
+        seed, cameras=len(offsets), frames=2 * frames, layout="around", visibility=1.0, outliers=0.0, noise_px=0.3,
+        stride=stride,
+    )  # fmt: skip
+    path = CubicSpline(np.arange(len(room.points)), room.points)
+    rng, pixels = np.random.default_rng(seed), np.full((frames, len(offsets), 2), np.nan)
+    for camera, (late, rate) in enumerate(zip(offsets, rates)):
+        moments = (np.arange(frames) - late) / rate + LEAD
+        exact, inside = room.seen(path(np.clip(moments, 0, len(room.points) - 1)))
+        seen = inside[:, camera] & (moments >= 0) & (moments < len(room.points)) & (rng.random(frames) < 0.95)
+        shown = exact[:, camera] + rng.normal(0.0, 0.4, (frames, 2))
+        wrong = rng.random(frames) < 0.02
+        shown[wrong] = rng.uniform([0, 0], [1279, 719], (wrong.sum(), 2))
+        pixels[seen, camera] = shown[seen]
+    return Tracks.from_pixels(pixels, room.tracks.image_sizes, names=room.tracks.names)
+
+
+def with_camera(tracks, camera, pixels, visible=None):
+    """The tracks with other sightings of one camera."""
+    changed, seen = tracks.pixels.copy(), tracks.visible.copy()
+    changed[:, camera] = pixels
+    if visible is not None:
+        seen[:, camera] = visible
+    return Tracks.from_pixels(np.where(seen[..., None], changed, np.nan), tracks.image_sizes, names=tracks.names)
 
 
 def clocks_of(tracks):
@@ -112,7 +146,7 @@ def test_a_camera_that_belongs_to_nothing_is_not_late():
     half = tracks.pixels[:, 2].copy()
     half[250:] = half[tracks.visible[:, 2]][-1]
     assert not any(abs(clock.offset_frames) > 0.2 for clock in clocks_of(with_camera(tracks, 2, half)))
-    mirrored = clocks_of(with_camera(tracks, 2, [1279, 0] + tracks.pixels[:, 2] * [-1, 1]))
+    mirrored = clocks_of(with_camera(tracks, 2, np.array([1279, 0]) + tracks.pixels[:, 2] * [-1, 1]))
     assert_clocks(mirrored, [0] * 4)
 
 
@@ -122,8 +156,6 @@ def test_waves_of_one_period_are_not_taken_for_a_lag_of_a_period():
     twice = np.concatenate([tracks.pixels, tracks.pixels]), np.concatenate([tracks.visible, tracks.visible])
     late = twice[0].copy(), twice[1].copy()
     late[0][7:, 2], late[1][7:, 2] = twice[0][:-7, 2], twice[1][:-7, 2]
-    from jaxpoint.tracks import Tracks
-
     found = clocks_of(Tracks.from_pixels(np.where(late[1][..., None], late[0], np.nan), tracks.image_sizes))
     assert not found[2].certain or abs(found[2].offset_frames - 7) < 0.25
 
