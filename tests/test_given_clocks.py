@@ -45,7 +45,7 @@ def test_rates_are_against_all_or_the_times(tracks, timeless):
 
 
 @pytest.mark.parametrize(
-    "settings, match",
+    ("settings", "match"),
     [
         ({"offset": ("cam_9=3",)}, "--offset names a camera 'cam_9', but the tracks have cam_0, cam_1"),
         ({"offset": ("cam_2",)}, "--offset cam_2 cannot be read; give a camera's name and a number"),

@@ -71,7 +71,7 @@ def cases_folder(data_folder):
     return folder
 
 
-@pytest.mark.parametrize("name, late", [("lag10", 10), ("lag41", 41)])
+@pytest.mark.parametrize(("name", "late"), [("lag10", 10), ("lag41", 41)])
 def test_the_late_camera_is_named_and_no_other(cases_folder, name, late):
     found = clocks_of(read_tracks(cases_folder / f"{name}.csv"))
     assert_clocks(found, [0, 0, late, 0, 0])
@@ -101,7 +101,7 @@ def test_a_calibration_keeps_a_camera_whose_found_clock_is_given(cases_folder):
 
 
 @pytest.mark.parametrize(
-    "offsets, rates",
+    ("offsets", "rates"),
     [
         ([17, 0, 0, -220, 0], None),
         ([0, 0, 150, 0, 3], None),

@@ -70,15 +70,22 @@ class PairView:
 
 
 class Agreement:
-    """Shares of matches for cameras under any clocks; what was computed once is kept."""
+    """Shares of matches for cameras under any clocks; what was computed once is kept.
 
-    def __init__(self, tracks: Tracks, settings: EpipolarSettings, seed: int, intrinsics: CameraRig | None):
+    The light's motion is taken from `usable` observations (as `moving_only` gives), from all where it is not given.
+    """
+
+    def __init__(
+        self,
+        tracks: Tracks,
+        settings: EpipolarSettings,
+        seed: int,
+        intrinsics: CameraRig | None,
+        usable: Bool[np.ndarray, "F C"] | None = None,
+    ):
+        self.tracks = tracks
         self.step = frame_step(tracks.frame_ids)
-        # A pixel that stands still fits any clock.
-        moving = tracks.visible & ~held_still(tracks.pixels, tracks.visible)
-        self.tracks = tracks = replace_visible(tracks, moving)
-        widths = tracks.image_sizes[:, 0].astype(float)
-        self.usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, widths)
+        self.usable = tracks.visible if usable is None else usable
         self._settings = replace(settings, samples=min(settings.samples, SAMPLES))
         self._seed, self._intrinsics = seed, intrinsics
         self._moving = motion(tracks.pixels, self.usable, tracks.frame_ids)
@@ -148,7 +155,14 @@ def _side_by_side(first: NormalisedTracks, second: NormalisedTracks) -> Normalis
     )
 
 
-def replace_visible(tracks: Tracks, visible: Bool[np.ndarray, "F C"]) -> Tracks:
+def moving_only(tracks: Tracks) -> tuple[Tracks, Bool[np.ndarray, "F C"]]:
+    """The tracks without pixels that stand still, which fit any clock, and which of the others are no outliers."""
+    moving = _with_visible(tracks, tracks.visible & ~held_still(tracks.pixels, tracks.visible))
+    widths = tracks.image_sizes[:, 0].astype(float)
+    return moving, without_jumps(moving.pixels, moving.visible, tracks.frame_ids, widths)
+
+
+def _with_visible(tracks: Tracks, visible: Bool[np.ndarray, "F C"]) -> Tracks:
     """The tracks with fewer observations."""
     pixels = np.where(visible[..., None], tracks.pixels, 0.0)
     return Tracks(

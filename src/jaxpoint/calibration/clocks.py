@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
-from jaxpoint.calibration.clock_fit import DRIFTS, Agreement, Clock, Share, refine
+from jaxpoint.calibration.clock_fit import DRIFTS, Agreement, Clock, Share, moving_only, refine
 from jaxpoint.calibration.clock_polish import polish
 from jaxpoint.calibration.lag_search import (
     Candidate,
@@ -132,8 +132,9 @@ def _without_steps(found: ClockSurvey, tracks: Tracks, settings, seed, intrinsic
 
 class _Survey:
     def __init__(self, tracks: Tracks, settings, seed, intrinsics, progress):
-        self.agreement = Agreement(tracks, settings, seed, intrinsics)
-        self.tracks = tracks = self.agreement.tracks
+        self.tracks, usable = moving_only(tracks)
+        tracks = self.tracks
+        self.agreement = Agreement(tracks, settings, seed, intrinsics, usable)
         self.courses = _courses(tracks, self.agreement, intrinsics)
         self.half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
         self.least = settings.min_shared_frames
