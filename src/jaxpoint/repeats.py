@@ -96,7 +96,7 @@ def _regular(seen: np.ndarray, plain: np.ndarray, interval: float, rows: int) ->
 
 
 def _near(seen: np.ndarray, at: np.ndarray) -> Bool[np.ndarray, " S"]:
-    return (np.abs(seen[:, None] - at) <= NEAR).any(axis=0)
+    return np.asarray((np.abs(seen[:, None] - at) <= NEAR).any(axis=0))
 
 
 def _all_plain(plain: np.ndarray, at: np.ndarray) -> Bool[np.ndarray, " S"]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float, Int
 
 from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, fit_pair, normalised, pair_threshold
 from jaxpoint.camera.rig import CameraRig
@@ -127,7 +127,7 @@ class Agreement:
         views = _side_by_side(self._column(*first, None), self._column(*second, None))
         found = self._geometry(views)
         lens = np.zeros(2) if self._intrinsics is not None else FIRST_LENSES[int(found.choice)]
-        points, seen = views.points, views.visible.all(axis=1)
+        points, seen = views.points, np.asarray(views.visible.all(axis=1))
         matrix, width = np.array(found.fundamental), float(views.widths.mean())
         return PairView(points[:, 0], points[:, 1], seen, self._rows(None), matrix, lens, views.half_diagonals, width)
 

@@ -148,15 +148,19 @@ class _Survey:
         pairs = self._pairs(known)
         clocks = self._against_group(self._shifted(known, pairs))
         before, after = self._shares(known)
-        total = tuple(self._total(pair, known) for pair in pairs)
         return ClockSurvey(
             tuple(
                 CameraClock(
-                    name, clocks[c].offset, clocks[c].rate, before[c], after[c], c in known and after[c] >= CERTAIN
+                    name,
+                    float(clocks[c].offset),
+                    float(clocks[c].rate),
+                    before[c],
+                    after[c],
+                    bool(c in known and after[c] >= CERTAIN),
                 )
                 for c, name in enumerate(self.tracks.names)
             ),
-            total,
+            tuple(self._total(pair, known) for pair in pairs),
         )
 
     # Which cameras agree as they are.
