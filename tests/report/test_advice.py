@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxpoint.calibration.clocks import CameraClock
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.motion import motion
 from jaxpoint.report import advice as adv
 from jaxpoint.report.clocks import Timing

@@ -9,11 +9,12 @@ only where it stands out from all other lags.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import jax
 import numpy as np
 
+from jaxpoint.calibration.camera_clock import CameraClock, ClockSurvey
 from jaxpoint.calibration.clock_fit import DRIFTS, Agreement, Clock, Share, moving_only, refine
 from jaxpoint.calibration.clock_polish import polish
 from jaxpoint.calibration.lag_search import (
@@ -52,32 +53,6 @@ LEAST_DRIFT = 0.3  # frames, from the middle of the first half to that of the se
 SLACK = 0.75  # frames: cameras that differ by less count as in step with one another
 SEARCHES = 12  # at all rates, each a second or two, before cameras that fit nothing are given up
 SEEDS = 3  # groups from which is grown, before the largest is taken
-
-
-@dataclass(frozen=True)
-class CameraClock:
-    """How a camera's frames lie in time against those of the largest group of cameras that agree."""
-
-    name: str
-    offset_frames: float  # positive where it shows the light late; at the first frame of the tracks
-    rate: float  # its frames to one of the group's
-    share_before: float  # 0..1, of its matches with others that fit one epipolar geometry, all taken as in step
-    share_after: float  # and under the clocks that were found
-    certain: bool  # False: no clock makes this camera fit the others well
-    even: bool = True  # False: in step but for frames that its recording repeats or skips at regular intervals
-
-    @property
-    def in_step(self) -> bool:
-        """Nothing to be set right: less than half a frame late, at the same rate."""
-        return abs(self.offset_frames) < 0.5 and self.rate == 1.0
-
-
-@dataclass(frozen=True)
-class ClockSurvey:
-    """The clocks of all cameras, and what pairs of them said."""
-
-    clocks: tuple[CameraClock, ...]
-    pairs: tuple[PairOffset, ...]
 
 
 def find_clocks(

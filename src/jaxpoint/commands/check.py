@@ -16,7 +16,7 @@ from jaxpoint.config import EpipolarSettings, InputSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
-    from jaxpoint.calibration.clocks import ClockSurvey
+    from jaxpoint.calibration.camera_clock import ClockSurvey
     from jaxpoint.calibration.result import PairTable
     from jaxpoint.report.advice import Advice
     from jaxpoint.tracks import Tracks

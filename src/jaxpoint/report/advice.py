@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.calibration.clocks import CameraClock
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
 from jaxpoint.report.clocks import HELD, Timing, cause, contradicts, finding, flags, held_share

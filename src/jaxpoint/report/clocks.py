@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.clocks import CameraClock
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.motion import held_still
 from jaxpoint.tracks import Tracks
 

@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from markupsafe import Markup, escape
 
 from jaxpoint.calibration.alignment import Alignment
-from jaxpoint.calibration.clocks import ClockSurvey
+from jaxpoint.calibration.camera_clock import ClockSurvey
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.io.files import StrPath, replacing

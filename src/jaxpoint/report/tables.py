@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxpoint.calibration.clocks import CameraClock
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.calibration.offset_search import PairOffset
 from jaxpoint.calibration.result import PairTable, Stage, TimeOffsets, Verdict
 from jaxpoint.report.advice import ENOUGH_SHARED
