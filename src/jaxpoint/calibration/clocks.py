@@ -223,7 +223,7 @@ class _Survey:
             return
         for one in others[:2]:
             yield at_near_rates(self.courses, one, camera, self._tolerance(one.camera, camera), LAGS)
-        for one in others[:1]:
+        for one in others[:2]:
             steps = self._tolerance(one.camera, camera)
             for window in stretches(self.courses.visible[:, one.camera], steps):
                 if self.searches:
