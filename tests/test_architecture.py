@@ -16,7 +16,7 @@ LAYERS = (
     ("geometry",),
     ("camera",),
     ("tracks",),
-    ("epipolar", "motion", "triangulation"),
+    ("epipolar", "motion", "repeats", "triangulation"),
     ("calibration", "tracking"),
     ("pointing",),
     ("landmarks", "metrics"),

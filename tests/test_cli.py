@@ -15,6 +15,7 @@ from jaxpoint.cli import command_line, main, parse
 from jaxpoint.config import RoomConfig
 from jaxpoint.io.tracks import load_tracks, save_tracks
 from jaxpoint.runs import read_run, write_run
+from jaxpoint.simulate.rooms import random_room
 
 
 @pytest.fixture(autouse=True)
@@ -426,6 +427,26 @@ def test_tracks_that_no_calibration_can_use_leave_nothing(tmp_path, solved_room,
     assert (found, "Nothing can be written" in err) == (2, True)
     if command == "calibrate":
         assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_check_names_the_late_camera_and_the_flag_that_helps(tmp_path, capsys):
+    late = random_room(
+        9, cameras=4, frames=500, layout="around", visibility=0.9, outliers=0.02, noise_px=0.5, stride=24,
+        time_offsets=np.array([0.0, 0.0, 23.0, 0.0]),
+    )  # fmt: skip
+    save_tracks(tmp_path / "late.npz", late.tracks)
+    code, out, err = run("check", tmp_path / "late.npz", capsys=capsys)
+    assert code == 4
+    assert "Camera cam_2 shows the light 23 frames late." in err
+    assert "--offset cam_2=23" in err
+    assert "Enough for a calibration." not in out
+    code, out, _ = run("check", tmp_path / "late.npz", "--offset", "cam_2=23", "--json", capsys=capsys)
+    figures = json.loads(out)
+    assert code == 0
+    assert figures["sufficient"]
+    assert [clock["name"] for clock in figures["clocks"]] == list(late.tracks.names)
+    assert max(abs(clock["offset_frames"]) for clock in figures["clocks"]) < 0.2
+    assert min(clock["share_before"] for clock in figures["clocks"]) > 0.7
 
 
 def test_check_says_that_a_camera_never_saw_the_light(tmp_path, solved_room, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from jaxpoint.motion import REACH, frame_step, motion, moved_to_clock, on_clock
+from jaxpoint.motion import REACH, frame_step, held_still, motion, moved_to_clock, on_clock, without_jumps
 from jaxpoint.tracks import Tracks
 
 FRAMES = 200
@@ -111,3 +111,38 @@ def test_a_verdict_goes_back_to_the_frame_that_it_is_about():
     marked = np.zeros_like(late.visible)
     marked[50] = True
     assert np.argwhere(clock.back(marked)).tolist() == [[50, 0], [52, 1]]
+
+
+@pytest.mark.parametrize("rate", [29.83 / 30, 25 / 30, 31.2 / 30])
+def test_a_camera_of_another_rate_against_the_true_path(rate):
+    ids = np.arange(FRAMES)
+    pixels = np.stack([smooth(ids, 0), smooth((ids - 3.0) / rate, 1)], axis=1)
+    tracks = Tracks.from_pixels(pixels, SIZES, np.ones((FRAMES, 2), bool))
+    moved = moved_to_clock(tracks, np.array([0.0, 3.0]), np.array([1.0, rate]))
+    inside = moved.visible[:, 1] & (ids < (FRAMES - 10) / max(rate, 1.0))
+    assert inside.sum() > 0.85 * FRAMES / max(rate, 1.0) - 10
+    wrong = np.linalg.norm(moved.pixels[:, 1] - smooth(ids, 1), axis=1)[inside]
+    assert np.quantile(wrong, 0.95) < 1.5
+    np.testing.assert_array_equal(moved.pixels[:, 0], tracks.pixels[:, 0])
+
+
+def test_jumps_are_found_and_spare_their_neighbours():
+    tracks = tracks_of([0.0, 0.0], 0.1)
+    pixels, jump = tracks.pixels.copy(), np.array([20, 60, 61, 120])
+    pixels[jump, 1] += np.array([90.0, -40.0])
+    good = without_jumps(pixels, tracks.visible, tracks.frame_ids, np.array([1280.0, 1280.0]))
+    assert not (good & ~tracks.visible).any()
+    assert not good[jump[[0, 3]], 1].any()
+    away = np.ones(FRAMES, bool)
+    away[jump] = False
+    assert good[away].sum() > 0.97 * tracks.visible[away].sum()
+
+
+def test_a_light_that_stands_is_held_from_the_third_frame():
+    tracks = tracks_of([0.0, 0.0])
+    pixels, visible = tracks.pixels.copy(), tracks.visible.copy()
+    pixels[50:60, 1], visible[54, 1] = pixels[50, 1], False
+    pixels[100, 1] = pixels[101, 1]
+    held = held_still(pixels, visible)
+    assert np.argwhere(held)[:, 0].tolist() == [50, 51, 52, 53, 55, 56, 57, 58, 59]
+    assert not held[:, 0].any()

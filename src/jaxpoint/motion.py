@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ from jaxpoint.tracks import Tracks
 REACH = 4  # frames to either side from which the motion at a frame is taken,
 SIDE = 3  # but from no more than these nearest ones
 MAX_GAIN = 1.5  # a moved pixel noisier than this many times a plain one is not used
+NEIGHBOURS = 3  # rows to either side of which two must predict a pixel
+JUMP = 6.0  # typical errors of such predictions: a pixel farther from all of them is an outlier,
+JUMP_PX = 6.0  # but not nearer than this, at an image width of 1280 px
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,50 @@ def _derivative_weights(ahead, used, known, cubic) -> tuple[np.ndarray, np.ndarr
     return solved[:, :, 1], 2.0 * solved[:, :, 2]
 
 
+def without_jumps(
+    pixels: Float[np.ndarray, "F C 2"],
+    visible: Bool[np.ndarray, "F C"],
+    frame_ids: Int[np.ndarray, " F"],
+    widths: Float[np.ndarray, " C"],
+) -> Bool[np.ndarray, "F C"]:
+    """The visible pixels but for those that lie far from every straight line through two neighbours in time.
+
+    A light does not jump, so that those are outliers, whose motion would spoil that of the frames around. Nothing is
+    said against a pixel with fewer than two neighbours.
+    """
+    away = _distance_from_neighbours(pixels, visible, frame_ids)
+    known = visible & np.isfinite(away)
+    typical = np.array([np.median(away[own, c]) if own.any() else 0.0 for c, own in enumerate(known.T)])
+    return visible & ~(known & (away > np.maximum(JUMP * typical, JUMP_PX * widths / 1280.0)))
+
+
+def held_still(pixels: Float[np.ndarray, "F C 2"], visible: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
+    """Observations that stand, three in turn or more, at exactly one pixel: an image that froze, or a light at rest."""
+    held = np.zeros_like(visible)
+    for camera in range(visible.shape[1]):
+        rows = np.flatnonzero(visible[:, camera])
+        same = (np.diff(pixels[rows, camera], axis=0) == 0).all(axis=1)
+        for run in np.flatnonzero(same[1:] & same[:-1]):
+            held[rows[run : run + 3], camera] = True
+    return held
+
+
+def _distance_from_neighbours(pixels, visible, frame_ids) -> Float[np.ndarray, "F C"]:
+    """Distance from the nearest prediction by two rows around each; infinite where there is none."""
+    step, rows = frame_step(frame_ids), np.arange(len(frame_ids))
+    nearest = np.full(visible.shape, np.inf)
+    around = [k for k in range(-NEIGHBOURS, NEIGHBOURS + 1) if k]
+    for first, second in itertools.combinations(around, 2):
+        a, b = (np.clip(rows + k, 0, len(rows) - 1) for k in (first, second))
+        ahead_a, ahead_b = ((frame_ids[k] - frame_ids) / step for k in (a, b))
+        near = (a != b) & (np.abs(ahead_a) <= NEIGHBOURS + 1) & (np.abs(ahead_b) <= NEIGHBOURS + 1)
+        near &= (a != rows) & (b != rows)
+        part = (ahead_a / np.where(near, ahead_a - ahead_b, 1.0))[:, None, None]
+        away = np.linalg.norm(pixels[a] + part * (pixels[b] - pixels[a]) - pixels, axis=-1)
+        nearest = np.where(near[:, None] & visible[a] & visible[b], np.minimum(nearest, away), nearest)
+    return nearest
+
+
 def frame_step(frame_ids: Int[np.ndarray, " F"]) -> float:
     """Frames of the recording from one row of the tracks to the next, as a rule."""
     return float(np.median(np.diff(frame_ids))) if len(frame_ids) > 1 else 1.0
@@ -116,10 +164,23 @@ class OnClock:
         return own
 
 
-def on_clock(tracks: Tracks, moving: Motion, offsets: Float[np.ndarray, " C"]) -> OnClock:
-    """Each camera's pixels at the moments of the common clock, when camera c shows it `offsets[c]` frames late."""
-    ids = tracks.frame_ids.astype(float)
-    wanted = ids[:, None] + offsets
+def on_clock(
+    tracks: Tracks,
+    moving: Motion,
+    offsets: Float[np.ndarray, " C"],
+    rates: Float[np.ndarray, " C"] | None = None,
+) -> OnClock:
+    """Each camera's pixels at the moments of the common clock.
+
+    Args:
+        moving: of the tracks.
+        offsets: frames by which each camera shows the light late, at the first frame of the tracks.
+        rates: frames of each camera to one of the common clock; 1 each where they are not given.
+    """
+    ids, first = tracks.frame_ids.astype(float), float(tracks.frame_ids[0])
+    rates = np.ones(tracks.cameras) if rates is None else rates
+    # An exact shift where the rate is 1, so that a whole number of frames is a matter of rows alone.
+    wanted = ids[:, None] + offsets + (rates - 1.0) * (ids - first)[:, None]
     after = np.clip(np.searchsorted(ids, wanted), 1, len(ids) - 1)
     rows = np.where(wanted - ids[after - 1] <= ids[after] - wanted, after - 1, after)
     ahead = wanted - ids[rows]
@@ -129,17 +190,27 @@ def on_clock(tracks: Tracks, moving: Motion, offsets: Float[np.ndarray, " C"]) -
     velocity, bend = moving.velocity[rows, every], moving.acceleration[rows, every]
     by = ahead[..., None]
     pixels = tracks.pixels[rows, every] + by * velocity + 0.5 * by**2 * bend
-    shown = visible[..., None]
+    shown, rate = visible[..., None], rates[:, None]
     return OnClock(
         rows,
         ahead,
         np.where(shown, pixels, 0.0),
-        np.where(shown, velocity + by * bend, 0.0),
-        np.where(shown, bend, 0.0),
+        np.where(shown, rate * (velocity + by * bend), 0.0),
+        np.where(shown, rate**2 * bend, 0.0),
         visible,
     )
 
 
-def moved_to_clock(tracks: Tracks, offsets: Float[np.ndarray, " C"]) -> Tracks:
-    """The tracks on the common clock, all observations taken as good."""
-    return on_clock(tracks, motion(tracks.pixels, tracks.visible, tracks.frame_ids), offsets).applied(tracks)
+def moved_to_clock(
+    tracks: Tracks,
+    offsets: Float[np.ndarray, " C"],
+    rates: Float[np.ndarray, " C"] | None = None,
+    usable: Bool[np.ndarray, "F C"] | None = None,
+) -> Tracks:
+    """The tracks on the common clock, as `on_clock` has them.
+
+    Args:
+        usable: observations from which the motion is taken; all where it is not given.
+    """
+    usable = tracks.visible if usable is None else usable
+    return on_clock(tracks, motion(tracks.pixels, usable, tracks.frame_ids), offsets, rates).applied(tracks)

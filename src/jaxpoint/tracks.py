@@ -78,7 +78,9 @@ class Tracks(eqx.Module):
         if pixel_aspects is not None:
             pixel_aspects = np.asarray(pixel_aspects, dtype=np.float64)
             if pixel_aspects.shape != (cameras,) or not (np.isfinite(pixel_aspects) & (pixel_aspects > 0)).all():
-                raise ValueError(f"{cameras} cameras need as many positive aspects, not {pixel_aspects.tolist()}.")
+                raise ValueError(
+                    f"{cameras} cameras need as many positive pixel aspects, not {pixel_aspects.tolist()}."
+                )
         return Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
 
     @property

@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.motion import motion
 from jaxpoint.report import advice as adv
+from jaxpoint.report.clocks import Timing
 from jaxpoint.report.summary import Lens
 
 SIZES = np.array([[640, 480]] * 3)
@@ -185,9 +187,52 @@ def test_residuals_with_a_pattern(summary):
     assert summary.names[1] in item.finding
 
 
-def test_whole_frames_between_cameras_are_found_from_the_tracks_alone(waves):
-    names, visible, frames = (*NAMES, "top"), np.ones((400, 4), bool), np.arange(400)
-    assert list(adv.on_synchrony(names, waves([0, 0, 0, 0]), visible, frames)) == []
-    (item,) = adv.on_synchrony(names, waves([0, 4, 0, 0]), visible, frames)
-    assert "middle" in item.finding
-    assert "4 frames after the others" in item.finding
+def clock(name, late=0.0, rate=1.0, certain=True, even=True):
+    return CameraClock(name, late, rate, 0.2, 0.95 if certain else 0.19, certain, even)
+
+
+def test_late_cameras_are_told_in_flags():
+    timing, held = Timing(30.0, 900.0), np.zeros(3)
+    in_step = [clock("left", 0.04), clock("middle"), clock("right", -0.1)]
+    assert [*adv.on_clocks(in_step, timing, held), *adv.on_offsets(in_step)] == []
+    (item,) = adv.on_clocks([clock("left"), clock("the middle", 36.97), clock("right", -2.4)], timing, held)
+    assert item.urgent
+    assert (
+        "Camera the middle shows the light 37 frames late. Camera right shows the light 2.4 frames early."
+        in item.finding
+    )
+    assert "`--offset 'the middle'=37 --offset right=-2.4`" in item.remedy
+    (item,) = adv.on_offsets([clock("left"), clock("middle", 0.6), clock("right", -0.4)])
+    assert "middle shows the light about 0.6 frames late, right shows the light about 0.4 frames early" in item.finding
+    assert "--time-offsets" in item.remedy
+
+
+@pytest.mark.parametrize(
+    ("one", "rate", "said", "given"),
+    [
+        (clock("b", 0.0, 29.83 / 30), 30.0, "runs at 29.83 frames a second beside 30.", "--rate all=30 --rate b=29.83"),
+        (
+            clock("b", 12.0, 25 / 30),
+            30.0,
+            "beside 30 and shows the light 12 frames late",
+            "--offset b=12 --rate all=30",
+        ),
+        (clock("b", 0.0, 1.02), None, "runs 1.02 times as fast as the others", "--rate all=30 --rate b=30.6"),
+        (clock("b", 0.0, 30 / 29.83, even=False), None, "repeats a frame every 176", "--rate all=30 --rate b=29.83"),
+        (clock("b", 0.0, 30 / 30.2, even=False), 30.0, "skips a frame every 150 frames", "--rate all=30 --rate b=30.2"),
+    ],
+)
+def test_rates_are_told_beside_that_of_the_others(one, rate, said, given):
+    (item,) = adv.on_clocks([clock("a"), one], Timing(rate, 900.0), np.zeros(2))
+    assert said in item.finding
+    assert f"`{given}" in item.remedy
+
+
+def test_a_camera_that_fits_no_other_is_named_with_its_cause():
+    clocks = [clock("left"), clock("middle", certain=False)]
+    (item,) = adv.on_clocks(clocks, Timing(None, 900.0), np.zeros(2))
+    assert "Camera middle fits no other" in item.finding
+    assert "19% of its matches" in item.finding
+    assert "--leave-out middle" in item.remedy
+    (frozen,) = adv.on_clocks([clock("left"), clock("middle")], Timing(None, 900.0), np.array([0.0, 0.5]))
+    assert "stands on one pixel in 50% of its frames" in frozen.finding

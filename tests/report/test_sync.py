@@ -4,24 +4,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from jaxpoint.motion import Motion, motion
-from jaxpoint.report.sync import speed_lags, time_offsets
+from jaxpoint.report.sync import time_offsets
 
 FRAMES = 400
-
-
-def test_speed_lags_find_a_camera_that_is_late(waves):
-    pixels = waves([0, 5, 0, -3])
-    lag, likeness = speed_lags(pixels, np.ones((FRAMES, 4), bool), np.arange(FRAMES))
-    assert_allclose(lag[0], [0, 5, 0, -3])
-    assert_allclose(lag, -lag.T)
-    assert (likeness[0, 1:] > 0.5).all()
-
-
-def test_speed_lags_do_not_guess_from_few_frames(waves):
-    visible = np.zeros((FRAMES, 2), bool)
-    visible[:40] = True
-    _, likeness = speed_lags(waves([0, 0]), visible, np.arange(FRAMES))
-    assert np.isnan(likeness).all()
 
 
 def test_time_offsets_recover_a_late_camera(waves):

@@ -12,18 +12,15 @@ from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, fit_pair, normalised, pair_threshold
+from jaxpoint.calibration.clock_fit import Agreement, Clock
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
-from jaxpoint.motion import motion, on_clock
 from jaxpoint.tracks import Tracks
 
 REACH = 5  # frames: pairs are tried from as much before to as much after
 PARTNERS = 3  # pairs tried for each camera: those that share most frames with it
-MOST_FRAMES = 2000  # of a longer recording every n-th are compared
-SAMPLES = 128  # minimal samples a pair and offset: fewer than for the geometry itself, but it is fitted 17 times
 ROUNDS = 20  # of reweighting
 
 
@@ -60,29 +57,16 @@ def _silent(done: int, total: int) -> None:
 
 
 def _pair_offsets(tracks: Tracks, settings, seed, intrinsics, partners, progress) -> list[PairOffset]:
-    pairs = _chosen_pairs(tracks, settings.min_shared_frames, partners)
-    if not pairs:
-        return []
-    rows = np.arange(0, tracks.frames, -(-tracks.frames // MOST_FRAMES))
-    moving = motion(tracks.pixels, tracks.visible, tracks.frame_ids)
-    moved: dict[float, NormalisedTracks] = {}
-
-    def at(offset: float) -> NormalisedTracks:
-        if offset not in moved:
-            clock = on_clock(tracks, moving, np.full(tracks.cameras, offset))
-            moved[offset] = normalised(clock.applied(tracks).select_frames(rows), intrinsics)
-        return moved[offset]
-
-    settings = replace(settings, samples=min(settings.samples, SAMPLES))
-    lenses = FIRST_LENSES if intrinsics is None else np.zeros_like(FIRST_LENSES)
+    pairs = chosen_pairs(tracks, settings.min_shared_frames, partners)
+    agreement = Agreement(tracks, settings, seed, intrinsics)
     found = []
-    for number, pair in enumerate(pairs):
-        found.append(_searched(at, pair, settings, np.random.default_rng(seed), lenses))
+    for number, (first, second) in enumerate(pairs):
+        found.append(search_offset(agreement, (first, Clock()), (second, Clock())))
         progress(number + 1, len(pairs))
     return found
 
 
-def _chosen_pairs(tracks: Tracks, least: int, partners: int) -> list[tuple[int, int]]:
+def chosen_pairs(tracks: Tracks, least: int, partners: int) -> list[tuple[int, int]]:
     """A tree of the pairs that share most frames, which reaches every camera, and every camera's best partners."""
     shared = tracks.visible.T.astype(int) @ tracks.visible.astype(int)
     np.fill_diagonal(shared, 0)
@@ -97,37 +81,28 @@ def _chosen_pairs(tracks: Tracks, least: int, partners: int) -> list[tuple[int, 
     return sorted(pair for pair in pairs if shared[pair] >= least)
 
 
-def _searched(at, pair, settings: EpipolarSettings, rng: np.random.Generator, lenses) -> PairOffset:
-    """Whole frames first, then halves and quarters about the best, then the top of the parabola through three."""
-    first, second = pair
-    fits: dict[float, float] = {}
+def search_offset(
+    agreement: Agreement,
+    first: tuple[int, Clock],
+    second: tuple[int, Clock],
+    within: Bool[np.ndarray, " F"] | None = None,
+) -> PairOffset:
+    """What the second camera is late beyond its clock.
 
-    def tried(offset: float) -> float:
-        if offset not in fits:
-            fits[offset] = _fit(at(0.0), at(offset), pair, settings, rng, lenses)
-        return fits[offset]
+    Whole frames first, then halves and quarters about the best, then the top of the parabola through three.
+    """
+    camera, clock = second
 
-    best = max((float(k) for k in range(-REACH, REACH + 1)), key=tried)
+    def fit(offset: float) -> float:
+        return agreement.share(first, (camera, replace(clock, offset=clock.offset + clock.rate * offset)), within).fit
+
+    best = max((float(k) for k in range(-REACH, REACH + 1)), key=fit)
     for step in (0.5, 0.25):
-        best = max((best - step, best, best + step), key=tried)
-    left, middle, right = tried(best - 0.25), tried(best), tried(best + 0.25)
+        best = max((best - step, best, best + step), key=fit)
+    left, middle, right = fit(best - 0.25), fit(best), fit(best + 0.25)
     bend = left - 2.0 * middle + right
     top = best + 0.25 * float(np.clip(0.5 * (left - right) / bend, -0.5, 0.5)) if bend < 0 else best
-    return PairOffset(first, second, top, middle, tried(0.0))
-
-
-def _fit(still: NormalisedTracks, moved: NormalisedTracks, pair, settings, rng, lenses) -> float:
-    """Share of the matches that the pair's best epipolar geometry explains."""
-    first, second = pair
-    points, visible = still.points.copy(), still.visible.copy()
-    points[:, second], visible[:, second] = moved.points[:, second], moved.visible[:, second]
-    seen = visible[:, first] & visible[:, second]
-    if seen.sum() < settings.min_shared_frames:
-        return 0.0
-    threshold = LOOSE * pair_threshold(still, pair, settings)
-    found = fit_pair(replace(still, points=points, visible=visible), pair, settings, rng, lenses, threshold)
-    errors = np.asarray(found.error)[seen]
-    return float(np.maximum(0.0, 1.0 - (errors / threshold) ** 2).mean())
+    return PairOffset(first[0], camera, top, middle, fit(0.0))
 
 
 def joint_offsets(found: list[PairOffset], cameras: int) -> Float[np.ndarray, " C"]:

@@ -17,7 +17,7 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.calibration.offset_search import PairOffset
+    from jaxpoint.calibration.camera_clock import ClockSurvey
     from jaxpoint.calibration.result import PairTable
     from jaxpoint.report.advice import Advice
     from jaxpoint.tracks import Tracks
@@ -43,8 +43,8 @@ class Check(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """The pair table and what it means; data that does not suffice is a failure of the outcome."""
-        from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
-        from jaxpoint.calibration.pairs import check_pairs, pair_table
+        from jaxpoint.calibration.clocks import survey_clocks
+        from jaxpoint.calibration.pairs import pair_table
         from jaxpoint.report.advice import advise_on_tracks
 
         if self.out is not None:
@@ -52,24 +52,18 @@ class Check(SeededOptions):
         tracks = tracks_from(self.tracks, self.input)
         intrinsics, pairs = intrinsics_from(self.input, tracks), pair_table(tracks)
         with console.progress() as progress:
-            offsets = pair_offsets(
+            clocks = survey_clocks(
                 tracks,
                 EpipolarSettings(),
                 self.seed,
                 intrinsics,
-                partners=1,
-                progress=lambda done, total: progress("pairs in step?", done, total),
+                progress=lambda done, total: progress("cameras in step?", done, total),
             )
-        seen = (tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
         advice: list[Advice] = []
         missing: list[str] = []
         with extra("the advice", missing):
-            advice = advise_on_tracks(tracks.names, *seen, offsets)
-        failure = None
-        try:
-            check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
-        except InsufficientDataError as error:
-            failure = error
+            advice = advise_on_tracks(tracks, clocks.clocks)
+        failure = _failure(tracks, pairs, clocks, intrinsics is not None)
         figures = {
             "cameras": [
                 {"name": name, "frames": int(seen), "coverage": float(covered)}
@@ -77,14 +71,15 @@ class Check(SeededOptions):
             ],
             "frames": tracks.frames,
             "shared": pairs.shared.tolist(),
-            "time_offsets": joint_offsets(offsets, tracks.cameras).tolist(),
+            "time_offsets": [clock.offset_frames for clock in clocks.clocks],
+            "clocks": [asdict(clock) for clock in clocks.clocks],
             "advice": [asdict(item) for item in advice],
             "sufficient": failure is None,
             "problem": None if failure is None else str(failure),
         }
         lines = _lines(pairs, tracks.frames, advice, failure is None and not missing)
         if self.out is not None:
-            self._keep(self.out, tracks, pairs, offsets, figures, missing)
+            self._keep(self.out, tracks, pairs, clocks, figures, missing)
             lines = (*lines, *at("Report", self.out / "report.html"))
         return Outcome(figures, lines, failure, tuple(missing))
 
@@ -93,7 +88,7 @@ class Check(SeededOptions):
         out: Path,
         tracks: Tracks,
         pairs: PairTable,
-        offsets: list[PairOffset],
+        clocks: ClockSurvey,
         figures: dict[str, Any],
         missing: list[str],
     ) -> None:
@@ -105,12 +100,28 @@ class Check(SeededOptions):
         def page(folder: Path) -> None:
             with extra("report.html", missing):
                 write_tracks_report(
-                    folder / "report.html", tracks, pairs, offsets=offsets, problem=figures["problem"], provenance=made
+                    folder / "report.html", tracks, pairs, clocks=clocks, problem=figures["problem"], provenance=made
                 )
 
         with new_run(out, self.force, page) as folder:
             write_json(folder / MARK, made)
             write_json(folder / "check.json", figures)
+
+
+def _failure(
+    tracks: Tracks, pairs: PairTable, clocks: ClockSurvey, known_intrinsics: bool
+) -> InsufficientDataError | None:
+    """Why the tracks do not suffice as they are: too little of them, or a camera that contradicts the others."""
+    from jaxpoint.calibration.pairs import check_pairs
+    from jaxpoint.report.clocks import Timing, held_share, problems
+
+    try:
+        check_pairs(tracks, pairs, known_intrinsics=known_intrinsics)
+    except InsufficientDataError as error:
+        return error
+    for problem in problems(clocks.clocks, Timing.of(tracks), held_share(tracks)):
+        return InsufficientDataError(problem)
+    return None
 
 
 def _lines(pairs: PairTable, frames: int, advice: Sequence[Advice], sufficient: bool) -> tuple[str, ...]:

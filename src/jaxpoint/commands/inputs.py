@@ -20,20 +20,26 @@ MAX_OUTSIDE = 0.05  # fraction of a camera's lights
 
 
 def tracks_from(path: Path, settings: InputSettings) -> Tracks:
-    """The tracks of a command.
+    """The tracks of a command, without the cameras that are left out, and on one clock as far as the settings say.
 
     Raises:
         FileFormatError: the file or folder is not what it should be.
-        InsufficientDataError: there are no frames, or the timestamps belong to another recording.
+        InsufficientDataError: there are no frames, or the timestamps belong to another recording, or an offset leaves
+            nothing of a camera.
+        UsageError: a camera named in the settings is not in the tracks, or its offset or rate cannot be used.
     """
+    from jaxpoint.commands.given_clocks import on_given_clock, without_left_out
     from jaxpoint.io.timestamps import read_timestamps, synchronise
     from jaxpoint.io.tracks import read_tracks
 
     tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
     if not tracks.frames:
         raise InsufficientDataError(f"'{path}' holds 0 frames; record the light and detect it first.")
+    tracks = without_left_out(tracks, settings.leave_out)
     _check_inside(tracks, path)
-    return tracks if settings.timestamps is None else synchronise(tracks, read_timestamps(settings.timestamps))
+    if settings.timestamps is not None:
+        tracks = synchronise(tracks, read_timestamps(settings.timestamps))
+    return on_given_clock(tracks, settings)
 
 
 def _check_inside(tracks: Tracks, path: Path) -> None:

@@ -146,8 +146,9 @@ def _cause(lengths: LengthValidation, allowed_mm: float) -> str:
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
     from jaxpoint.validation import validate_held_out
 
-    # The timestamps of the run belong to its own recording.
-    tracks, names = tracks_from(path, replace(run.config.input, timestamps=None)), run.calibration.rig.names
+    # The timestamps and clocks of the run belong to its own recording; a camera left out is none of the rig.
+    settings = replace(run.config.input, timestamps=None, offset=(), rate=())
+    tracks, names = tracks_from(path, settings), run.calibration.rig.names
     if sorted(tracks.names) != sorted(names):
         raise UsageError(
             f"'{path}' has the cameras {', '.join(tracks.names)}, the calibration {', '.join(names)}; give tracks of "

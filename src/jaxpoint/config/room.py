@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import tyro
+
 from jaxpoint.config.loading import load_settings
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.point import PointSettings
@@ -138,6 +140,15 @@ class InputSettings:
     OpenCV's .yaml or of *.rad files; see `lens.known`."""
     intrinsics_by_order: bool = False
     """The known lenses are in the order of the cameras, whatever their names."""
+    offset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """NAME=FRAMES, once for each camera out of step: it shows the light so many frames late (early: negative) at the
+    first frame of the tracks. `cam_2=37` takes its frame 37 as the others' frame 0."""
+    rate: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """NAME=RATE, frames a second, once for each camera that runs faster or slower than the others; these run at
+    `all=30`, or at the rate of the tracks' times. Only ratios matter. `all=30` and `cam_2=29.83`: its frame 2983 shows
+    what the others' frame 3000 shows; where its recording repeats or skips frames for that, these are put right."""
+    leave_out: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """Name of a camera that is not used; once for each."""
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.calibration.offset_search import PairOffset, joint_offsets
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
+from jaxpoint.report.clocks import HELD, Timing, cause, contradicts, finding, flags, held_share
 from jaxpoint.report.gathered import edge_of_lens, gathered_place, gathered_time
 from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_coverage
-from jaxpoint.report.sync import speed_lags, time_offsets
+from jaxpoint.report.sync import time_offsets
+from jaxpoint.tracks import Tracks
 
 ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
 BORDER = 6.0  # px from the edge of an image within which a light may be cut off
@@ -52,24 +54,18 @@ def advise(summary: Summary) -> list[Advice]:
     return sorted(found, key=lambda advice: not advice.urgent)
 
 
-def advise_on_tracks(
-    names: Sequence[str],
-    pixels: Float[np.ndarray, "F C 2"],
-    visible: Bool[np.ndarray, "F C"],
-    sizes: Int[np.ndarray, "C 2"],
-    frame_ids: Int[np.ndarray, " F"],
-    pairs: Sequence[PairOffset] = (),
-) -> list[Advice]:
+def advise_on_tracks(tracks: Tracks, clocks: Sequence[CameraClock] = ()) -> list[Advice]:
     """What tracks alone say, before anything is solved; urgent things first.
 
     Args:
-        pairs: time offsets as `calibration.offset_search.pair_offsets` finds them.
+        clocks: as `calibration.clocks.find_clocks` finds them.
     """
-    shared = visible.T.astype(int) @ visible.astype(int)
+    shared = tracks.visible.T.astype(int) @ tracks.visible.astype(int)
     found = [
-        *on_recording(names, pixels, visible, sizes, shared),
-        *on_views(visible),
-        *(list(on_offsets(names, pairs)) or on_synchrony(names, pixels, visible, frame_ids)),
+        *on_recording(tracks.names, tracks.pixels, tracks.visible, tracks.image_sizes, shared),
+        *on_views(tracks.visible),
+        *on_clocks(clocks, Timing.of(tracks), held_share(tracks)),
+        *on_offsets(clocks),
     ]
     return sorted(found, key=lambda advice: not advice.urgent)
 
@@ -214,49 +210,48 @@ def on_timing(summary: Summary) -> Iterator[Advice]:
         yield Advice(
             f"The residuals of camera {summary.names[camera]} follow the light's motion: it shows it at least "
             f"{abs(offset[camera]):.2f} frames {when} the others.",
-            f"{_SOLVE_OFFSETS}, or mend the synchronisation (trigger, dropped frames, clocks).",
+            f"{_SOLVE_OFFSETS} up to 2 frames (`jaxpoint check` finds larger ones, and rates), or mend the "
+            "synchronisation (trigger, dropped frames, clocks).",
             urgent=bool(abs(offset[camera]) > 0.1),
         )
 
 
-def on_offsets(names: Sequence[str], pairs: Sequence[PairOffset]) -> Iterator[Advice]:
-    """Cameras out of step, fractions of a frame included, as the epipolar geometry of pairs has it."""
-    sure = [p for p in pairs if abs(p.frames) >= LEAST_OFFSET and p.fit >= 0.3 and p.fit > p.fit_in_step]
-    if not sure:
-        return
-    late = joint_offsets(list(pairs), len(names))
-    told = [
-        f"{name} shows the light about {abs(by):.1f} frames {'late' if by > 0 else 'early'}"
-        for name, by in zip(names, late)
-        if abs(by) >= LEAST_OFFSET
+def on_clocks(clocks: Sequence[CameraClock], timing: Timing, held: Float[np.ndarray, " C"]) -> Iterator[Advice]:
+    """Cameras late by whole frames or of a rate of their own, with the flags that set it right; cameras that fit none.
+
+    Args:
+        held: of each camera, as `report.clocks.held_share` has it.
+    """
+    wrong = [clock for clock in clocks if clock.certain and contradicts(clock)]
+    if wrong:
+        yield Advice(
+            " ".join(finding(clock, timing) for clock in wrong),
+            f"Give `{flags(wrong, timing)}`, which brings the tracks to one clock.",
+            urgent=True,
+        )
+    for clock, share in zip(clocks, held):
+        if not clock.certain or share > HELD:
+            yield Advice(*cause(float(share), clock), urgent=True)
+
+
+def on_offsets(clocks: Sequence[CameraClock]) -> Iterator[Advice]:
+    """Cameras out of step by so little that a calibration can solve for it."""
+    late = [
+        clock
+        for clock in clocks
+        if clock.certain and not contradicts(clock) and abs(clock.offset_frames) >= LEAST_OFFSET
     ]
-    yield Advice(
-        f"The cameras are out of step: against {names[0]}, {', '.join(told)}.",
-        f"{_SOLVE_OFFSETS}; better still, trigger the cameras together.",
-        urgent=bool(np.ptp(late) >= 0.5),
-    )
+    if late:
+        said = [f"{c.name} shows the light about {abs(c.offset_frames):.1f} frames {_when(c)}" for c in late]
+        yield Advice(
+            f"The cameras are out of step: {', '.join(said)}.",
+            f"{_SOLVE_OFFSETS}; better still, trigger the cameras together.",
+            urgent=any(abs(clock.offset_frames) >= 0.5 for clock in late),
+        )
 
 
-def on_synchrony(
-    names: Sequence[str],
-    pixels: Float[np.ndarray, "F C 2"],
-    visible: Bool[np.ndarray, "F C"],
-    frame_ids: Int[np.ndarray, " F"],
-) -> Iterator[Advice]:
-    """Cameras that are whole frames apart, known from the image speeds alone (nothing is solved)."""
-    lag, likeness = speed_lags(pixels, visible, frame_ids)
-    sure = np.nan_to_num(likeness) > 0.5
-    for camera, name in enumerate(names):
-        partners = np.flatnonzero(sure[camera])
-        shifted = [int(lag[k, camera]) for k in partners]
-        if len(shifted) >= max(1, min(2, len(names) - 1)) and np.ptp(shifted) <= 2 and abs(np.median(shifted)) >= 2:
-            by = int(np.median(shifted))
-            when = "after" if by > 0 else "before"
-            yield Advice(
-                f"Camera {name} shows the light's motion about {abs(by)} frames {when} the others.",
-                "Check the frame numbers of that camera: dropped frames or another start of the recording.",
-                urgent=True,
-            )
+def _when(clock: CameraClock) -> str:
+    return "late" if clock.offset_frames > 0 else "early"
 
 
 def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:

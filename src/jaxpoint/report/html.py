@@ -15,7 +15,7 @@ from jaxtyping import UInt8
 from markupsafe import Markup, escape
 
 from jaxpoint.calibration.alignment import Alignment
-from jaxpoint.calibration.offset_search import PairOffset
+from jaxpoint.calibration.camera_clock import ClockSurvey
 from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration, PairTable
 from jaxpoint.config import AlignSettings, CalibrateSettings
@@ -26,7 +26,6 @@ from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_trac
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
 from jaxpoint.report.summary import Scene, Summary, px
-from jaxpoint.report.sync import speed_lags
 from jaxpoint.report.verdict import judge_summary, judge_tracks
 from jaxpoint.tracks import Tracks
 
@@ -111,7 +110,7 @@ def write_tracks_report(
     tracks: Tracks,
     pairs: PairTable,
     *,
-    offsets: Sequence[PairOffset] = (),
+    clocks: ClockSurvey | None = None,
     problem: str | None = None,
     provenance: Mapping[str, Any] | None = None,
     config_text: str | None = None,
@@ -123,15 +122,15 @@ def write_tracks_report(
     Args:
         path: the HTML file; it is replaced whole or not at all.
         pairs: as `calibration.pairs.pair_table` gives.
-        offsets: as `calibration.offset_search.pair_offsets` gives.
+        clocks: as `calibration.clocks.survey_clocks` gives.
         problem: why these tracks cannot be calibrated, where that is already known.
         provenance, config_text, sheets, title: as in `write_report`.
 
     Raises:
         OSError: the folder is missing or not writable.
     """
-    seen = (tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids)
-    advice = advise_on_tracks(tracks.names, *seen, offsets)
+    clocks = ClockSurvey((), ()) if clocks is None else clocks
+    advice = advise_on_tracks(tracks, clocks.clocks)
     with style():
         names = short_names(tracks.names)
         coverage = figures_lens.coverage_maps(names, tracks.pixels, tracks.visible, tracks.image_sizes)
@@ -157,8 +156,8 @@ def write_tracks_report(
         ],
         advice=advice or [Advice("The recording looks fine.", "Go on with `jaxpoint calibrate`.")],
         pairs=tables.pair_matrix(pairs),
-        moments=tables.moment_table(names, offsets),
-        lags=tables.lag_matrix(names, *speed_lags(tracks.pixels, tracks.visible, tracks.frame_ids)),
+        moments=tables.moment_table(names, clocks.pairs),
+        clocks=tables.clock_table(names, clocks.clocks),
         enough_shared=ENOUGH_SHARED,
         figures=figures,
         sheets=encoded(sheets),

@@ -1,44 +1,14 @@
-"""Are the cameras in step? Two looks at it, one before anything is solved and one after."""
+"""Are the cameras in step? A look at it after everything is solved; before, see `calibration.clocks`."""
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
-from jaxpoint.motion import Motion, motion
+from jaxpoint.motion import Motion
 
-MAX_LAG = 12  # frames tried to either side
-_MIN_SAMPLES = 60
 MOST_FRAMES = 1000  # of a longer recording every n-th are looked at
 ROUNDS = 10  # of reweighting
-
-
-def speed_lags(
-    pixels: Float[np.ndarray, "F C 2"], visible: Bool[np.ndarray, "F C"], frame_ids: Int[np.ndarray, " F"]
-) -> tuple[Int[np.ndarray, "C C"], Float[np.ndarray, "C C"]]:
-    """By how many frames one camera lags another, from how fast the light moves in their images.
-
-    The hand stops and starts in all images at the same time, whatever the geometry, so the logarithms of the image
-    speeds are most alike at the right lag.
-
-    Returns:
-        lag: `lag[a, b]` > 0 when camera b shows in frame f + lag what camera a shows in frame f. In rows of the tracks.
-        likeness: the correlation at that lag; NaN where fewer than 60 frames can be compared.
-    """
-    moving = motion(pixels, visible, frame_ids)
-    speed, known = np.log(np.linalg.norm(moving.velocity, axis=-1) + 0.5), moving.known
-    cameras = visible.shape[1]
-    lag = np.zeros((cameras, cameras), dtype=int)
-    likeness = np.full((cameras, cameras), np.nan)
-    for a in range(cameras):
-        for b in range(a + 1, cameras):
-            tried = [_correlation(speed, known, a, b, k) for k in range(-MAX_LAG, MAX_LAG + 1)]
-            if np.isnan(tried).all():
-                continue
-            best = int(np.nanargmax(tried))
-            lag[a, b], lag[b, a] = best - MAX_LAG, MAX_LAG - best
-            likeness[a, b] = likeness[b, a] = tried[best]
-    return lag, likeness
 
 
 def time_offsets(
@@ -103,17 +73,3 @@ def _without_points(slopes, residuals, velocity) -> tuple[Float[np.ndarray, "F C
     columns = columns - slopes @ np.linalg.solve(normal, turned @ columns)
     columns = columns.reshape(frames, cameras, 2, -1)
     return columns[..., 0], columns[..., 1:]
-
-
-def _correlation(speed, known, a, b, lag) -> float:
-    """Correlation of the speeds of a in frame f and of b in frame f + lag."""
-    frames = len(speed)
-    first = slice(max(0, -lag), frames - max(0, lag))
-    second = slice(max(0, lag), frames - max(0, -lag))
-    both = known[first, a] & known[second, b]
-    if both.sum() < _MIN_SAMPLES:
-        return float("nan")
-    x, y = speed[first, a][both], speed[second, b][both]
-    if x.std() == 0 or y.std() == 0:
-        return float("nan")
-    return float(np.corrcoef(x, y)[0, 1])

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
+from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.calibration.offset_search import PairOffset
 from jaxpoint.calibration.result import PairTable, Stage, TimeOffsets, Verdict
 from jaxpoint.report.advice import ENOUGH_SHARED
@@ -143,23 +143,28 @@ def pair_matrix(pairs: PairTable) -> Matrix:
     return Matrix(short_names(pairs.names), rows, pairs.inliers is not None)
 
 
-def lag_matrix(names: Sequence[str], lag: Int[np.ndarray, "C C"], likeness: Float[np.ndarray, "C C"]) -> Matrix:
-    """By how many frames each camera lags each other, and how sure that is."""
-    rows = []
-    for a, name in enumerate(names):
-        row = []
-        for b, other in enumerate(names):
-            if a == b or np.isnan(likeness[a, b]):
-                row.append(Cell("·", kind="own", hint="" if a == b else "too few frames to compare"))
-                continue
-            sure = float(np.clip(likeness[a, b], 0.0, 1.0))
-            if sure < _UNSURE:
-                row.append(Cell("?", kind="own", small=f"{sure:.2f}", hint=f"{name} and {other} are not alike"))
-                continue
-            wrong = "wrong" if abs(lag[a, b]) >= 2 else ""
-            row.append(Cell(f"{lag[a, b]:+d}" if lag[a, b] else "0", sure, f"{sure:.2f}", wrong, f"{name} to {other}"))
-        rows.append(row)
-    return Matrix(names, rows)
+def clock_table(names: Sequence[str], clocks: Sequence[CameraClock]) -> Table:
+    """How each camera lies in time, and how many of its matches agree."""
+    header = [
+        "Camera",
+        "Late, frames",
+        "Frames to one\nof the others",
+        "Matches that fit\nas recorded",
+        "and on one clock",
+        "",
+    ]
+    rows = [
+        [
+            name,
+            f"{clock.offset_frames:+.2f}" if clock.certain else "?",
+            f"{clock.rate:.6g}" if clock.certain else "?",
+            f"{clock.share_before:.0%}",
+            f"{clock.share_after:.0%}",
+            "" if clock.certain else "fits no other",
+        ]
+        for name, clock in zip(names, clocks)
+    ]
+    return Table(header, rows)
 
 
 def kept_table(summary: Summary) -> Table:
