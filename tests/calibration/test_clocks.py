@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from jaxpoint.calibration.clock_findings import Timing, contradicts, flags
 from jaxpoint.calibration.clocks import find_clocks, survey_clocks
 from jaxpoint.commands.inputs import tracks_from
 from jaxpoint.config import EpipolarSettings, InputSettings
 from jaxpoint.io.svoboda import read_svoboda
 from jaxpoint.io.tracks import read_tracks
-from jaxpoint.report.clocks import Timing, contradicts, flags
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.tracks import Tracks
 

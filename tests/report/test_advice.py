@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.camera_clock import CameraClock
+from jaxpoint.calibration.clock_findings import Timing
 from jaxpoint.motion import motion
 from jaxpoint.report import advice as adv
-from jaxpoint.report.clocks import Timing
 from jaxpoint.report.summary import Lens
 
 SIZES = np.array([[640, 480]] * 3)

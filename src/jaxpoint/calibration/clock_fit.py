@@ -152,6 +152,7 @@ def _side_by_side(first: NormalisedTracks, second: NormalisedTracks) -> Normalis
         np.concatenate([first.visible, second.visible], axis=1),
         np.concatenate([first.half_diagonals, second.half_diagonals]),
         np.concatenate([first.widths, second.widths]),
+        np.concatenate([first.pixel_aspects, second.pixel_aspects]),
     )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float
 
+from jaxpoint.calibration.clock_findings import Timing, contradicts, finding, flags
+from jaxpoint.calibration.clocks import find_clocks
 from jaxpoint.calibration.result import Calibration, Finding
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
@@ -13,6 +15,7 @@ LEAST_KEPT = 0.6  # of a camera's observations, where two others saw the light t
 APART = 0.2  # by which it keeps less than the others do, by their median
 FITS = 0.7  # share of inliers at which a projection explains a camera's pixels
 LEAST_ROWS = 20  # observations that tell something
+PARTNERS = 3  # cameras with which its clock is compared
 SAMPLES = 300  # of six points
 NEAR_PX = 10.0  # of the linear projection, at an image width of 1280: lens distortion is left out
 
@@ -67,17 +70,18 @@ def left_out(tracks: Tracks, camera: int, others: Calibration, settings: Calibra
     )
 
 
-def _reason(tracks: Tracks, camera: int, others: Calibration, settings) -> tuple[str, str, str]:
+def _reason(tracks: Tracks, camera: int, others: Calibration, settings: CalibrateSettings) -> tuple[str, str, str]:
+    """The cause in a word or two, a sentence with the figure, and the remedy; the first that holds."""
     name = tracks.names[camera]
     usable = tracks.visible[:, camera] & others.point_valid
     points, pixels = others.points[usable], tracks.pixels[usable, camera]
-    near = NEAR_PX * float(tracks.image_sizes[camera, 0]) / 1280.0
     if len(points) < LEAST_ROWS:
         return (
             "shares too little",
             f"It shares {len(points)} frames with them.",
             f"Wave the light longer where {name} and two others see it",
         )
+    near = NEAR_PX * float(tracks.image_sizes[camera, 0]) / 1280.0
     found = fit_projection(points, pixels, near, settings.seed)
     if found.share >= FITS and found.mirrored:
         return (
@@ -86,28 +90,51 @@ def _reason(tracks: Tracks, camera: int, others: Calibration, settings) -> tuple
             "exchanged.",
             f"Record {name} without the mirror or flip, or flip its images",
         )
+    moved = None if found.share >= FITS else _moved(name, points, pixels, near, settings.seed)
+    return moved or _clock(tracks, camera, settings) or _unknown(name, found.share)
+
+
+def _moved(name: str, points: np.ndarray, pixels: np.ndarray, near: float, seed: int) -> tuple[str, str, str] | None:
+    """That each half of the recording fits one camera, where both together do not."""
     half = len(points) // 2
-    parts = [
-        fit_projection(points[some], pixels[some], near, settings.seed) for some in (slice(half), slice(half, None))
-    ]
-    if found.share < FITS and min(part.share for part in parts) >= FITS:
-        return (
-            "camera moved",
-            "It was moved during the recording: each half by itself fits one camera, "
-            f"{parts[0].share:.0%} and {parts[1].share:.0%}, both together do not ({found.share:.0%}).",
-            f"Keep the part of the recording before or after {name} was touched",
-        )
-    if found.share >= FITS:
-        return (
-            "contradicting camera",
-            f"{found.share:.0%} of its observations fit a camera of its own that the adjustment did not reach.",
-            "Wave the light longer where it and the others see it",
-        )
+    if half < LEAST_ROWS:
+        return None
+    first, second = (
+        fit_projection(points[some], pixels[some], near, seed).share for some in (slice(half), slice(half, None))
+    )
+    if min(first, second) < FITS:
+        return None
+    return (
+        "camera moved",
+        f"It was moved during the recording: each half of it fits one camera ({first:.0%} and {second:.0%} of the "
+        "observations), both together do not.",
+        f"Keep the part of the recording before or after {name} was touched",
+    )
+
+
+def _clock(tracks: Tracks, camera: int, settings: CalibrateSettings) -> tuple[str, str, str] | None:
+    """That it is late or runs at another rate than its best partners."""
+    shared = (tracks.visible & tracks.visible[:, camera : camera + 1]).sum(axis=0)
+    shared[camera] = -1
+    chosen = [*np.argsort(-shared)[:PARTNERS].tolist(), camera]
+    some = tracks.select_cameras(chosen)
+    clock = find_clocks(some, settings.epipolar, settings.seed)[-1]
+    if not clock.certain or not contradicts(clock):
+        return None
+    timing = Timing.of(some)
+    return (
+        "out of step" if clock.rate == 1.0 else "frame rate",
+        finding(clock, timing),
+        f"Give {flags([clock], timing)}",
+    )
+
+
+def _unknown(name: str, share: float) -> tuple[str, str, str]:
+    fits = f"No more than {share:.0%} of its observations fit any one camera" if share < FITS else "It fits by itself"
     return (
         "contradicting camera",
-        f"No more than {found.share:.0%} of its observations fit any one camera: it shows another light, another room, "
-        "or other moments than the others.",
-        f"Check what {name} recorded and when (`jaxpoint check` looks for late cameras and other rates)",
+        f"{fits}: it shows another light, another room, or other moments than the others.",
+        f"Check what {name} recorded, and whether it lost frames (`jaxpoint check`)",
     )
 
 

@@ -112,8 +112,8 @@ def _failure(
     tracks: Tracks, pairs: PairTable, clocks: ClockSurvey, known_intrinsics: bool
 ) -> InsufficientDataError | None:
     """Why the tracks do not suffice as they are: too little of them, or a camera that contradicts the others."""
+    from jaxpoint.calibration.clock_findings import Timing, held_share, problems
     from jaxpoint.calibration.pairs import check_pairs
-    from jaxpoint.report.clocks import Timing, held_share, problems
 
     try:
         check_pairs(tracks, pairs, known_intrinsics=known_intrinsics)

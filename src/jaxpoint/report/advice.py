@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.calibration.camera_clock import CameraClock
+from jaxpoint.calibration.clock_findings import HELD, Timing, cause, contradicts, finding, flags, held_share
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
-from jaxpoint.report.clocks import HELD, Timing, cause, contradicts, finding, flags, held_share
 from jaxpoint.report.gathered import edge_of_lens, gathered_place, gathered_time
 from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_coverage
 from jaxpoint.report.sync import time_offsets
