@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxpoint.calibration.bundle import K3
 from jaxpoint.calibration.result import Calibration, Finding
 
 RINGS = 10  # of equal width, from the principal point to half an image diagonal
 ENOUGH = 25  # observations that a ring needs
 LOST = 0.5  # of a ring's observations kept: where fewer are, the lens model has ended
-MOST_LOST = 0.05  # of all observations lost there: the rig bends to the lens (150 degrees: 0.11, 120 degrees: 0.02)
+MOST_LOST = 0.05  # of all observations lost there: the rig bends to the lens
 HELD = 0.85  # kept within, as it must be for the radius to be the cause
 WAVY = 0.5  # rms of the mean radial residual over the noise: the model does not describe the lens
 SIGNIFICANT = 25.0  # chi-square a ring of these means
@@ -66,7 +67,7 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
     if not calibration.sigma_px > 0:
         return
     profile, names = lens_profile_of(calibration), calibration.tracks.names
-    ends = _ends(profile)
+    ends, wave = _ends(profile), waviness(profile, calibration.sigma_px)
     if np.isfinite(ends).any():
         shown = tuple(name for name, end in zip(names, ends) if np.isfinite(end))
         end = float(ends[np.isfinite(ends)].min())
@@ -74,14 +75,13 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
         lost = (profile.count - profile.kept)[beyond].sum() / max(profile.count.sum(), 1)
         yield Finding(
             "lens model",
-            "bad" if lost > MOST_LOST else "care",
+            "bad" if lost > MOST_LOST or wave.max() > WAVY else "care",
             f"The lens model does not reach the edge of the image: beyond {end:.0%} of the half diagonal most "
             f"observations of {', '.join(shown)} are rejected, within it they fit. The lens is wider than the model "
             "can describe.",
-            "Use a lens of less than about 100 degrees, or known lenses; places beyond that radius are not to be used",
+            "Use a lens of less than about 100 degrees; places beyond that radius are flagged by `triangulate`",
             shown,
         )
-    wave = waviness(profile, calibration.sigma_px)
     wavy = tuple(name for name, value in zip(names, wave) if value > WAVY)
     if wavy:
         yield Finding(
@@ -89,7 +89,9 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
             "bad" if wave.max() > 2 * WAVY else "care",
             f"The residuals of {', '.join(wavy)} follow the distance from the image centre, by "
             f"{wave.max() * calibration.sigma_px:.2f} px (rms): the lens model does not describe this lens.",
-            "Allow more terms (--lens.distortion brown); a lens of more than 100 degrees needs another model",
+            "Use a lens of less than about 100 degrees"
+            if calibration.freedom is not None and calibration.freedom.free[:, K3].any()
+            else "Allow more terms (--lens.distortion brown)",
             wavy,
         )
 
