@@ -18,7 +18,6 @@ Development looks at seeds 0 to 99; the figures that count are those of 1000 to 
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import multiprocessing
 import shlex
@@ -45,6 +44,7 @@ from doubtful_rigs_page import write_study
 from doubtful_rigs_scores import Record, Result, excesses, outcome, summary
 from elevation_bias import commit
 from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import padded_cameras
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
@@ -188,15 +188,10 @@ def run_one(rig: Rig, held: bool = False) -> tuple[Result, Calibration | None]:
 
 
 def assessed(solved: Calibration, settings: CalibrateSettings) -> Result:
-    """The verdict of the quality gate, or of the thresholds alone in a version that has no other gate."""
-    if importlib.util.find_spec("jaxpoint.calibration.quality") is None:
-        failure, causes = importlib.import_module("jaxpoint.metrics").judge(solved, settings), ()
-    else:
-        found = importlib.import_module("jaxpoint.calibration.quality").assess(solved, settings)
-        failure, causes = found.failure, tuple(found.causes)
-        assert (failure is None) == bool(found.passed)
-    said, kind = ("", "") if failure is None else (str(failure), type(failure).__name__)
-    return Result(failure is None, said, causes, kind)
+    """The verdict of the quality gate."""
+    found = assess(solved, settings)
+    said, kind = ("", "") if found.failure is None else (str(found.failure), type(found.failure).__name__)
+    return Result(found.passed, said, found.causes, kind, holds=found.holds)
 
 
 def _causes(error: JaxpointError) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from scipy.stats import binomtest
 
 from doubtful_rigs_scores import (
     OUTCOMES,
+    REST,
     SHOWN,
     Record,
     Result,
@@ -157,10 +158,10 @@ def _scatter_caption() -> str:
 
 def kind_table(records: list[Record]) -> Table:
     """Counts by layout and by fault; a rig of two faults counts under both."""
-    header = ["kind", "rigs", *OUTCOMES, "crashed", "determined", "of these right", "of these refused",
+    header = ["kind", "rigs", *OUTCOMES, REST, "crashed", "determined", "of these right", "of these refused",
               "undetermined, called good"]  # fmt: skip
     rows = [
-        [name, str(tally.rigs), *(str(tally.outcomes[what]) for what in OUTCOMES), str(tally.crashed),
+        [name, str(tally.rigs), *(str(tally.outcomes[what]) for what in (*OUTCOMES, REST)), str(tally.crashed),
          str(tally.determined), percent(share(tally.determined_right, tally.determined)),
          str(tally.determined_refused), str(tally.undetermined_good)]
         for name, tally in tallies(records).items() if tally.rigs

@@ -27,6 +27,7 @@ LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99)
 QUANTITIES = {"focal": 1, "centre": 3, "rotation": 3}  # and their degrees of freedom
 SHOWN = 3  # excesses of one rig that are listed
 OUTCOMES = ("good and right", "good and wrong", "refused, true cause", "refused, other cause")
+REST = "rest good and right, camera named"  # refused for a camera that was left out, by its true cause
 CAUSES = {
     "aspect": r"aspect|pixels (that )?are not square|not square",
     "crop": r"crop|principal point",
@@ -54,6 +55,7 @@ class Result:
     crashed: bool = False  # it is none of jaxpoint's own
     seconds: float = 0.0
     cameras: tuple[CameraError, ...] = ()
+    holds: bool = False  # it passes but for cameras that were left out and named
 
 
 @dataclass(frozen=True)
@@ -139,9 +141,13 @@ def _names(text: str, fault: Fault) -> bool:
 
 
 def outcome(record: Record) -> str:
-    """One of `OUTCOMES`."""
+    """One of `OUTCOMES`, or `REST`."""
+    if (record.result.passed or record.result.holds) and excesses(record):
+        return OUTCOMES[1]
     if record.result.passed:
-        return OUTCOMES[1] if excesses(record) else OUTCOMES[0]
+        return OUTCOMES[0]
+    if record.result.holds and names_true_cause(record):
+        return REST
     return OUTCOMES[2] if names_true_cause(record) else OUTCOMES[3]
 
 
@@ -155,10 +161,10 @@ class Tally:
     """Counts of one kind of rig."""
 
     rigs: int = 0
-    outcomes: dict[str, int] = field(default_factory=lambda: dict.fromkeys(OUTCOMES, 0))
+    outcomes: dict[str, int] = field(default_factory=lambda: dict.fromkeys((*OUTCOMES, REST), 0))
     crashed: int = 0
     determined: int = 0
-    determined_right: int = 0  # called good, and right
+    determined_right: int = 0  # delivered and right: called good, or without the camera that is named
     determined_refused: int = 0
     undetermined_good: int = 0  # called good all the same: so wide a prediction is hardly ever wrong
 
@@ -170,7 +176,7 @@ class Tally:
         self.crashed += record.result.crashed
         if record.determined.enough:
             self.determined += 1
-            self.determined_right += what == OUTCOMES[0]
+            self.determined_right += what in (OUTCOMES[0], REST)
             self.determined_refused += what in OUTCOMES[2:]
         else:
             self.undetermined_good += record.result.passed
@@ -178,7 +184,7 @@ class Tally:
     @property
     def refused(self) -> int:
         """Rigs that were not called good."""
-        return self.outcomes[OUTCOMES[2]] + self.outcomes[OUTCOMES[3]]
+        return self.outcomes[OUTCOMES[2]] + self.outcomes[OUTCOMES[3]] + self.outcomes[REST]
 
 
 def tallies(records: list[Record]) -> dict[str, Tally]:
@@ -192,7 +198,7 @@ def tallies(records: list[Record]) -> dict[str, Tally]:
 
 def squares(results: Sequence[Result], quantity: str) -> np.ndarray:
     """Squared errors of the results called good, in units of the predicted covariance, of every camera."""
-    cameras = [camera for result in results if result.passed for camera in result.cameras]
+    cameras = [camera for result in results if result.passed or result.holds for camera in result.cameras]
     if quantity == "focal":
         pairs = [(camera.focal[1], camera.focal_sigma[1]) for camera in cameras]
         return np.array([(error / sigma) ** 2 for error, sigma in pairs if sigma > 0])
@@ -219,7 +225,7 @@ def summary(records: list[Record]) -> dict[str, Any]:
         "rigs": total.rigs,
         "wrong_called_good": len(wrong),
         "determined_right": share(total.determined_right, total.determined),
-        "refusals_with_the_true_cause": share(total.outcomes[OUTCOMES[2]], total.refused),
+        "refusals_with_the_true_cause": share(total.outcomes[OUTCOMES[2]] + total.outcomes[REST], total.refused),
         "inside_95": {name: _finite(curve[LEVELS.index(0.95)]) for name, curve in curves.items()},
         "inside_95_of_controls": {name: _finite(inside(plain, name, (0.95,))[0]) for name in QUANTITIES},
         "by_kind": {name: {**vars(tally)} for name, tally in found.items() if tally.rigs},

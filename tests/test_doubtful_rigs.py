@@ -14,7 +14,7 @@ from doubtful_rigs_cameras import Cameras
 from doubtful_rigs_errors import CameraError, errors_of
 from doubtful_rigs_faults import Fault, faulty_cameras
 from doubtful_rigs_generator import draw
-from doubtful_rigs_scores import Record, Result, excesses, inside, names_true_cause, outcome, summary, tallies
+from doubtful_rigs_scores import REST, Record, Result, excesses, inside, names_true_cause, outcome, summary, tallies
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.recording import Freedom, Recording
@@ -221,6 +221,10 @@ def test_wrong_is_beyond_four_sigma_and_beyond_twice_the_control():
     blind = Result(True, cameras=(camera(sigma=0.0, focal=0.003),))
     assert outcome(record(result=blind)) == "good and wrong"
     assert outcome(record(result=replace(wrong, passed=False))) == "refused, other cause"
+    # A rig that holds without a camera that was left out is held to its word too.
+    assert outcome(record(result=replace(wrong, passed=False, holds=True))) == "good and wrong"
+    rest = replace(record().result, passed=False, holds=True, message="Camera cam_2 shows the light 7 frames late.")
+    assert outcome(record(faults=(Fault("late", (2,), 7.0),), result=rest)) == REST
 
 
 @pytest.mark.parametrize(

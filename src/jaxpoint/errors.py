@@ -29,6 +29,15 @@ class InsufficientDataError(JaxpointError):
     exit_code = 4
 
 
+class ContradictionError(InsufficientDataError):
+    """One camera is of no use, or fits no other; the rest may do without it."""
+
+    def __init__(self, message: str, camera: int, cause: str):
+        super().__init__(message)
+        self.camera = camera  # its place among the cameras
+        self.causes = (cause,)  # words that stay the same from version to version
+
+
 class QualityError(JaxpointError):
     """A result was reached and kept, but it fails a stated quality threshold."""
 

@@ -61,6 +61,7 @@ def _verdict(quality: Quality) -> dict[str, Any]:
         "passed": quality.passed,
         "failure": None if quality.failure is None else str(quality.failure),
         "causes": list(quality.causes),
+        "holds_without_cameras_left_out": quality.holds,
         "findings": [asdict(finding) for finding in quality.findings],
     }
 

@@ -9,6 +9,7 @@ from jaxpoint.calibration.clock_findings import Timing, contradicts, finding, fl
 from jaxpoint.calibration.clocks import find_clocks
 from jaxpoint.calibration.result import Calibration, Finding
 from jaxpoint.config import CalibrateSettings
+from jaxpoint.errors import ContradictionError
 from jaxpoint.tracks import Tracks
 
 LEAST_KEPT = 0.6  # of a camera's observations, where two others saw the light too (random rooms keep 0.8 or more)
@@ -63,10 +64,23 @@ def left_out(tracks: Tracks, camera: int, others: Calibration, settings: Calibra
     return Finding(
         cause,
         "bad",
-        f"Camera {name} contradicts the others and was left out; the calibration of the other "
-        f"{len(others.rig)} is kept. {why}",
-        f"{remedy}, or leave it out for good (--leave-out {name}).",
+        f"Camera {name} contradicts the others and was left out. {why}",
+        f"{remedy}, or leave it out for good (--leave-out {name})",
         (name,),
+        left_out=True,
+    )
+
+
+def left_out_unsolved(tracks: Tracks, error: ContradictionError) -> Finding:
+    """Why a camera was left out before anything was solved."""
+    name = tracks.names[error.camera]
+    return Finding(
+        error.causes[0],
+        "bad",
+        f"Camera {name} was left out. {error}",
+        f"Mend that, or leave it out for good (--leave-out {name})",
+        (name,),
+        left_out=True,
     )
 
 

@@ -5,21 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, undistorted
-from jaxpoint.errors import InsufficientDataError
+from jaxpoint.errors import ContradictionError, InsufficientDataError
 from jaxpoint.tracks import Tracks
 
 MIN_INLIERS = 15  # matches that fit a camera's best pair
 MIN_INLIER_SHARE = 0.4
 PLANE_ERROR_PX = 3.0  # at a width of 1280: a homography this good between all views means a planar path
 MIN_THICKNESS = 0.01  # smallest over largest extent of the light's path (standard deviations)
-
-
-class ContradictionError(InsufficientDataError):
-    """One camera fits no other; the rest may do."""
-
-    def __init__(self, message: str, camera: int):
-        super().__init__(message)
-        self.camera = camera
 
 
 def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeometry) -> None:
@@ -38,6 +30,7 @@ def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeom
                 "`jaxpoint check` finds cameras that are late or run at another rate; or leave it out (--leave-out "
                 f"{name}).",
                 camera,
+                "contradicting camera",
             )
     errors = [_homography_error(data, geometry, pair) for pair in geometry.fundamentals]
     worst = max(errors, default=np.inf)

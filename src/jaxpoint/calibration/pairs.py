@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxpoint.calibration.result import PairTable
 from jaxpoint.calibration.stuck import refuse_stuck
-from jaxpoint.errors import InsufficientDataError
+from jaxpoint.errors import ContradictionError, InsufficientDataError
 from jaxpoint.tracks import Tracks
 
 GRID = (8, 6)  # cells of the image, for the area covered
@@ -94,14 +94,19 @@ def _check_motion(tracks: Tracks, table: PairTable) -> None:
         spread = np.sqrt(np.linalg.eigvalsh(np.cov(seen.T)))  # px, along the two main directions
         width = tracks.image_sizes[camera, 0]
         if (seen == seen[0]).all():
-            raise InsufficientDataError(
+            raise ContradictionError(
                 f"Camera '{name}' has all its {len(seen)} sightings at one and the same pixel ({seen[0, 0]:g}, "
-                f"{seen[0, 1]:g}): its images are frozen, or that pixel is hot; record anew, or drop the camera."
+                f"{seen[0, 1]:g}): its images are frozen, or that pixel is hot; record anew, or drop the camera.",
+                camera,
+                "frozen camera",
             )
         if spread[1] < 0.005 * width:
-            raise InsufficientDataError(
+            raise ContradictionError(
                 f"The light hardly moves in camera '{name}': its pixels spread by {spread[1]:.1f} px (1 sd) of "
-                f"{width}; wave it through the whole view."
+                f"{width}; its images are frozen, or it sees a lamp (mask it); else wave the light through the whole "
+                "view.",
+                camera,
+                "frozen camera",
             )
         if spread[0] < 0.002 * width:
             raise InsufficientDataError(

@@ -49,6 +49,12 @@ class Quality:
         return self.level != "bad"
 
     @property
+    def holds(self) -> bool:
+        """Whether it passes but for cameras that were left out: what is delivered may be trusted."""
+        kept = [item for item in self.findings if item.level == "bad" and not item.left_out]
+        return not kept and all(check.level != "bad" for check in self.checks)
+
+    @property
     def causes(self) -> tuple[str, ...]:
         """The causes of failure, in words that stay the same."""
         return tuple(dict.fromkeys(item.cause for item in self.findings if item.level == "bad"))
@@ -65,7 +71,8 @@ class Quality:
             reasons = " and ".join(check.reason for check in failed)
             return kind(f"{reasons[0].upper()}{reasons[1:]}; the results are kept and marked. {_LOOK}")
         told = " Also: ".join(f"{item.finding} {item.remedy.rstrip('.')}." for item in causes)
-        return kind(f"{told} The results are kept and marked.")
+        kept = "passes every other check and is kept" if self.holds else "is kept and marked"
+        return kind(f"{told} The calibration {kept}.")
 
 
 SOLVER = "Solver"

@@ -58,6 +58,7 @@ class Finding:
     finding: str  # a sentence with the figure
     remedy: str
     cameras: tuple[str, ...] = ()  # that it concerns
+    left_out: bool = False  # these cameras are none of the rig any more
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ import numpy as np
 
 from jaxpoint.calibration.aspects import with_stated_aspects
 from jaxpoint.calibration.assembly import LOST, assembled
-from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out
-from jaxpoint.calibration.degenerate import ContradictionError, check_geometry, check_volume
+from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
+from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.initial import Inputs, Start, starts
 from jaxpoint.calibration.lens_checks import with_reach
@@ -28,7 +28,7 @@ from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_g
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
-from jaxpoint.errors import InsufficientDataError
+from jaxpoint.errors import ContradictionError, InsufficientDataError
 from jaxpoint.motion import moved_to_clock
 from jaxpoint.tracks import Tracks
 
@@ -82,7 +82,7 @@ def _consistent(tracks: Tracks, settings, intrinsics: CameraRig | None, progress
     try:
         found = _solved(tracks, settings, intrinsics, progress)
     except ContradictionError as error:
-        others = _without(tracks, error.camera, settings, intrinsics, progress) if spare else None
+        others = _without(tracks, error.camera, settings, intrinsics, progress, error) if spare else None
         if others is None:
             raise
         return others
@@ -91,7 +91,14 @@ def _consistent(tracks: Tracks, settings, intrinsics: CameraRig | None, progress
     return others if others is not None and holds_without(others, found) else found
 
 
-def _without(tracks: Tracks, camera: int, settings, intrinsics, progress: Progress) -> Calibration | None:
+def _without(
+    tracks: Tracks,
+    camera: int,
+    settings: CalibrateSettings,
+    intrinsics: CameraRig | None,
+    progress: Progress,
+    error: ContradictionError | None = None,
+) -> Calibration | None:
     """The calibration of the other cameras, which says why this one was left out; None where they do not suffice."""
     rest = [other for other in range(tracks.cameras) if other != camera]
     fewer = None if intrinsics is None else intrinsics.select(rest)
@@ -99,7 +106,11 @@ def _without(tracks: Tracks, camera: int, settings, intrinsics, progress: Progre
         others = _consistent(tracks.select_cameras(rest), settings, fewer, progress)
     except InsufficientDataError:
         return None
-    return replace(others, findings=(left_out(tracks, camera, others, settings), *others.findings))
+    frozen = error is not None and error.causes == ("frozen camera",)
+    why = (
+        left_out_unsolved(tracks, error) if error is not None and frozen else left_out(tracks, camera, others, settings)
+    )
+    return replace(others, findings=(why, *others.findings))
 
 
 def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:

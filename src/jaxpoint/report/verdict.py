@@ -31,7 +31,9 @@ def judge_summary(summary: Summary, quality: Quality, advice: list[Advice], sett
     checks = [*quality.checks, *_warnings(summary, settings)]
     rows = [*checks, *(_row(finding) for finding in quality.findings)]
     if quality.failure is not None:
-        return Judgement("bad", "Not to be trusted", f"Do not use this calibration yet. {quality.failure}", rows)
+        title = "Holds, but without cameras that were left out" if quality.holds else "Not to be trusted"
+        advice_first = "" if quality.holds else "Do not use this calibration yet. "
+        return Judgement("bad", title, f"{advice_first}{quality.failure}", rows)
     facts = (
         f"on average the cameras agree to {px(summary.mean_px, 2)} on where the light was "
         f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.comparable.sum():,} "
