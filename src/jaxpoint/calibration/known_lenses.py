@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.bundle import ASPECT, CENTER, FOCAL, SIZE
 from jaxpoint.calibration.normal import NormalEquations
-from jaxpoint.calibration.recording import SIGMA_KNOWN, Freedom
+from jaxpoint.calibration.recording import NOISE_PX, SIGMA_KNOWN, Freedom
 from jaxpoint.calibration.result import Calibration, Finding
 
 REFUTED = 4.0  # sigmas of what a careful lens calibration leaves open (1 % of a focal length) and of this recording
@@ -33,7 +33,7 @@ class LensTest:
 
 def given_lenses(freedom: Freedom) -> Bool[np.ndarray, " C"]:
     """Cameras with a given lens: only these have a prior on the focal length."""
-    return freedom.prior_weight[:, FOCAL] > 0
+    return freedom.prior_weight[:, FOCAL] > 2 * (NOISE_PX / LOOSE) ** 2
 
 
 def lens_test(calibration: Calibration, normal: NormalEquations) -> LensTest | None:
@@ -44,7 +44,7 @@ def lens_test(calibration: Calibration, normal: NormalEquations) -> LensTest | N
     widths = np.asarray(calibration.rig.image_sizes)[:, 0]
     given, solution = freedom.prior_mean[:, FOCAL], normal.parameters[:, FOCAL]
     found, sigmas = solution.copy(), np.zeros(len(given))
-    for camera in np.flatnonzero(given_lenses(freedom)).tolist():
+    for camera in np.flatnonzero(given_lenses(calibration.freedom)).tolist():
         try:
             step = normal.solve(unknown_again(freedom, camera, widths, calibration.sigma_px))
         except np.linalg.LinAlgError:
@@ -63,6 +63,19 @@ def unknown_again(freedom: Freedom, camera: int, widths: Float[np.ndarray, " C"]
     weight[camera, FOCAL] = (noise_px / LOOSE) ** 2
     weight[camera, CENTER] = (noise_px / (LOOSE * widths[camera])) ** 2
     return Freedom(free, freedom.prior_mean, weight)
+
+
+def refuted_lenses(test: LensTest, names: tuple[str, ...]) -> Iterator[Finding]:
+    """What is said of given lenses that were given up."""
+    for camera in np.flatnonzero(test.refuted):
+        yield Finding(
+            "given lens",
+            "care",
+            f"The recording contradicts the given lens of {names[camera]} (focal length {test.given[camera]:.0f} px, "
+            f"about {test.found[camera]:.0f} px here); it was solved for as if nothing were known.",
+            f"Is the file of another mode, zoom or resolution of {names[camera]}? Give the right one",
+            (names[camera],),
+        )
 
 
 def known_lens_findings(calibration: Calibration, normal: NormalEquations | None) -> Iterator[Finding]:

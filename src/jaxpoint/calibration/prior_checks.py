@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.aspects import aspect_text
 from jaxpoint.calibration.bundle import ASPECT, CENTER
+from jaxpoint.calibration.known_lenses import given_lenses
 from jaxpoint.calibration.normal import NormalEquations
 from jaxpoint.calibration.prior_choice import REFUTED, doubts_of, with_free_aspects
 from jaxpoint.calibration.recording import Freedom
@@ -57,6 +58,7 @@ def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Findin
     """What priors that were given up say of the cameras."""
     count, sizes = len(rig), np.asarray(rig.image_sizes)
     looser = np.asarray((after.prior_weight < before.prior_weight)[:count, CENTER].any(axis=1))
+    looser &= ~given_lenses(before)[:count]
     if looser.any():
         chosen = _named(rig, looser)
         off = np.linalg.norm(np.asarray(rig.cameras.center) - (sizes - 1) / 2.0, axis=1)[looser]

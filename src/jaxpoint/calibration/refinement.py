@@ -7,12 +7,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
+from jaxpoint.calibration.assembly import assembled
 from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.known_lenses import lens_test, refuted_lenses, unknown_again
 from jaxpoint.calibration.lens_choice import choose_lens
-from jaxpoint.calibration.objective import Solution
+from jaxpoint.calibration.normal import normal_equations
+from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.prior_choice import PriorChoice
-from jaxpoint.calibration.recording import Freedom, Recording
+from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording
 from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, TimeOffsets
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.rig import CameraRig
@@ -69,12 +72,31 @@ class Refinement:
     def _priors(self, solution: Solution) -> Solution:
         """Without the priors that the recording refutes."""
         if self.settings.lens.known != "none":
-            return solution
+            return self._given_lenses(solution)
         trials = PriorChoice(self.recording, self.tracks, self.pairs, self.settings)
         chosen, stages = trials.choose(solution)
         self.stages += stages
         self.findings += trials.findings
         return chosen
+
+    def _given_lenses(self, solution: Solution) -> Solution:
+        """Without given lenses that the recording contradicts, where they were to be refined."""
+        if self.settings.lens.known != "refine":
+            return solution
+        parts = self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs
+        found = assembled(*parts)
+        test = lens_test(found, normal_equations(found))
+        if test is None or not test.refuted.any():
+            return solution
+        freedom, widths = solution.freedom, self.recording.image_sizes[:, 0]
+        for camera in np.flatnonzero(test.refuted).tolist():
+            freedom = unknown_again(freedom, camera, widths, NOISE_PX)
+        state, outliers = solution.settled.judged.state, self.settings.outliers
+        trial = solve_with(self.recording, state, freedom, outliers)
+        if better_by(trial, solution) <= 0:
+            return solution
+        self.findings += refuted_lenses(test, self.tracks.names)
+        return trial
 
     def with_offsets(self, found: Calibration) -> Calibration:
         """The calibration with the time offsets that it was made with."""
