@@ -61,8 +61,8 @@ def _message(settled: Settled, explained: float) -> str:
             f"({LOST:.0%} wanted): it is probably wrong; try another --init or wave the light longer"
         )
     if settled.converged:
-        return f"converged after {settled.rounds} rounds: the cost and the believed observations no longer change"
-    return f"stopped after {settled.rounds} rounds without settling"
+        return f"converged after {settled.rounds} rounds: the cost and the inliers no longer change"
+    return f"stopped after {settled.rounds} rounds without converging"
 
 
 def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:

@@ -51,9 +51,9 @@ def _stretches(calibration: Calibration) -> Iterator[Finding]:
         tested, kept = calibration.comparable[:, camera], calibration.kept[:, camera]
         count = np.bincount(part[tested], minlength=STRETCHES)
         share = np.bincount(part[kept], minlength=STRETCHES) / np.maximum(count, 1)
-        told = count >= FEWEST
-        dead = told & (share < DEAD)
-        alive = told & ~dead
+        enough = count >= FEWEST
+        dead = enough & (share < DEAD)
+        alive = enough & ~dead
         if not dead.any() or not alive.any() or np.median(share[alive]) < ALIVE:
             continue
         rows = np.flatnonzero(np.isin(part, np.flatnonzero(dead)))

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from jaxpoint.calibration.bundle import ASPECT, FOCAL
 from jaxpoint.calibration.expected import expected_error
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.calibration.result import Calibration, Finding, Level
 from jaxpoint.calibration.sight import centres, poses
 from jaxpoint.calibration.uncertainty import uncertainty_of
 from jaxpoint.camera.camera import PARAMETERS
@@ -29,6 +29,10 @@ SURELY_PARALLEL = np.deg2rad(10.0)  # the covariance deceives there: solutions d
 ONE_PLACE = 0.08  # cameras nearer to each other than this share of their distance to the light
 FLAT, THIN = 0.12, 0.12  # smallest (middle) over largest extent of the light: a plane (a line)
 SHALLOW = 0.25  # range of the light's depth over its median, in every camera
+GIVEN_UP = ("cropped image", "pixel aspect")  # priors that were wrong of this recording: the others are trusted less,
+REFUTED_LIMIT = (
+    0.45  # and only so much of the allowed errors is, as others may be wrong unseen (measured on doubtful rigs)
+)
 WORST_GAIN = 0.5  # a remedy is named if it lowers the expected error at least so much
 
 
@@ -70,7 +74,7 @@ def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Itera
             yield Finding(cause, "bad", f"The recording does not determine the cameras: {why}.", remedy)
         return
     worst = int(found.focal_sigmas.argmax())
-    level = "bad" if _surely_parallel(calibration) else _level(found, settings)
+    level = "bad" if _surely_parallel(calibration) else _level(calibration, found, settings)
     if level == "good":
         return
     cause, why, remedy = _cause(calibration)
@@ -90,9 +94,10 @@ def _surely_parallel(calibration: Calibration) -> bool:
     return bool(free and axes_angle(poses(calibration.rig)[0]) < SURELY_PARALLEL)
 
 
-def _level(found: Determinacy, settings: CalibrateSettings):
+def _level(calibration: Calibration, found: Determinacy, settings: CalibrateSettings) -> Level:
     over = max(found.focal_sigmas.max() / settings.max_focal_sigma, found.relative / settings.max_expected_error)
-    return "bad" if over > 1.0 else "care" if over > 0.5 else "good"
+    limit = REFUTED_LIMIT if any(item.cause in GIVEN_UP for item in calibration.findings) else 1.0
+    return "bad" if over > limit else "care" if over > 0.5 * limit else "good"
 
 
 def _focal(calibration: Calibration, found: Determinacy, camera: int) -> str:

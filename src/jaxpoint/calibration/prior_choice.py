@@ -28,9 +28,9 @@ REFUTED = 3.0  # sigmas (from the issue of a wrong prior: the field's usual boun
 CHANCE = 1e-4  # of a joint test; 0 of 31 random rooms came below (they reach 0.02)
 FREE_CENTER = 0.5  # of the image width: sigma of a principal point whose prior was given up
 FREE_ASPECT = 0.3  # sigma of a log aspect that is free: beyond the widest standard, 64/45
-TOLD_BADLY = 0.02  # sigma of a log aspect from which a score test has no power: standard aspects are tried instead
+WEAKLY_KNOWN = 0.02  # sigma of a log aspect from which a score test has no power: standard aspects are tried instead
 ALIKE = (16 / 15, 4 / 3)  # tried for all cameras alike: the smallest and one of the largest
-OPEN = 3.0  # an aspect of 4/3 that is worse by less cannot be told from square pixels (square ones: 5 to 200)
+OPEN = 3.0  # an aspect of 4/3 that is worse by less cannot be distinguished from square pixels (square ones: 5 to 200)
 LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
 WORTH_CENTER, WORTH_ASPECT = 4.0, 9.0  # least fall of the objective for a prior to be given up: 2 and 3 sigmas,
 WORTH_EACH = 2.0  # and so much more for every parameter that this frees (Akaike 1974)
@@ -173,7 +173,7 @@ class PriorChoice:
             return
         if doubted:
             yield self._solved(state, with_free_aspects(freedom, held))
-        elif doubts.aspects_sigma > TOLD_BADLY and (self.recording.pixel_aspects == 1.0).all():
+        elif doubts.aspects_sigma > WEAKLY_KNOWN and (self.recording.pixel_aspects == 1.0).all():
             for aspect in ALIKE:
                 yield self._with_aspects(solution, (aspect,) * self.recording.cameras)
 

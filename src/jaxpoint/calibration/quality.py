@@ -1,4 +1,4 @@
-"""The quality gate: whether a calibration passes, decided once from all that is known of it.
+"""The quality gate: whether a calibration passes, decided once from everything known of it.
 
 The exit code, the console, `metrics.json` and the report show what is decided here.
 """
@@ -70,9 +70,9 @@ class Quality:
         if not causes:
             reasons = " and ".join(check.reason for check in failed)
             return kind(f"{reasons[0].upper()}{reasons[1:]}; the results are kept and marked. {_LOOK}")
-        told = " Also: ".join(f"{item.finding} {item.remedy.rstrip('.')}." for item in causes)
+        text = " Also: ".join(f"{item.finding} {item.remedy.rstrip('.')}." for item in causes)
         kept = "passes every other check and is kept" if self.holds else "is kept and marked"
-        return kind(f"{told} The calibration {kept}.")
+        return kind(f"{text} The calibration {kept}.")
 
 
 SOLVER = "Solver"
@@ -82,7 +82,7 @@ _LOOK = "The report shows which camera, place or time disagrees."
 def assess(
     calibration: Calibration, settings: CalibrateSettings | None = None, align: AlignSettings | None = None
 ) -> Quality:
-    """Hold a calibration, aligned or not, against all that is known of it. Needs its covariance (`with_covariance`).
+    """Hold a calibration, aligned or not, against everything known of it. Needs its covariance (`with_covariance`).
 
     Args:
         settings: thresholds; the defaults if not given.
@@ -105,8 +105,8 @@ def assess(
 
 def _normal(calibration: Calibration) -> NormalEquations | None:
     """The normal equations, where the calibration says what was free and has inliers."""
-    told = calibration.freedom is not None and calibration.sigma_px > 0 and calibration.kept.any()
-    return normal_equations(calibration) if told else None
+    possible = calibration.freedom is not None and calibration.sigma_px > 0 and calibration.kept.any()
+    return normal_equations(calibration) if possible else None
 
 
 def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignSettings) -> Iterator[Check]:
