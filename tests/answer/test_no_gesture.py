@@ -17,6 +17,9 @@ def following(present):
     return SimpleNamespace(tracking=SimpleNamespace(heads=SimpleNamespace(present=np.full((45, 1), present))))
 
 
+pytestmark = pytest.mark.usefixtures("any_shape")  # a stand-in for what follows people
+
+
 def arm(stretch=0.4, speed_m=0.0, moments=range(45)):
     """One that hangs, and points in moments 10 to 19."""
     moments = np.array(moments)

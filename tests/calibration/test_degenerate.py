@@ -70,7 +70,7 @@ def test_too_few_frames(room):
 def test_a_camera_that_shares_nothing(room):
     visible = room.tracks.visible.copy()
     visible[:, 2] &= ~visible[:, [0, 1, 3]].any(axis=1)
-    refused(changed(room.tracks, visible=visible), "Camera 'south' shares 0 frames", "20", "drop the camera")
+    refused(changed(room.tracks, visible=visible), "Camera 'south' shares 0 frames", "20", "--leave-out")
 
 
 def test_two_groups_that_are_not_connected(room):
@@ -87,7 +87,7 @@ def test_one_recording_given_twice(room):
 
 def test_a_light_that_never_moves(room):
     points = np.tile(ROOM_M / 2 - [0.0, 0.0, 0.5], (300, 1))
-    refused(seen_by_room(room, points), "hardly moves", "px", "wave it")
+    refused(seen_by_room(room, points), "hardly moves", "px", "wave the light")
 
 
 def test_a_light_that_moves_on_a_line(room):
@@ -111,7 +111,19 @@ def test_a_light_that_stays_in_one_corner(room):
 def test_an_unsynchronised_camera(room):
     pixels, visible = room.tracks.pixels.copy(), room.tracks.visible.copy()
     pixels[:, 2], visible[:, 2] = np.roll(pixels[:, 2], 100, axis=0), np.roll(visible[:, 2], 100)
-    refused(changed(room.tracks, pixels, visible), "Camera 'south'", "synchronised")
+    found = calibrate(changed(room.tracks, pixels, visible))
+    assert found.rig.names == ("north", "east", "west")
+    (why,) = found.findings
+    assert (why.cause, why.left_out) == ("out of step", True)
+    assert "south shows the light 100 frames late" in why.finding
+    assert "--offset south=100" in why.remedy
+
+
+def test_an_unsynchronised_camera_of_three(room):
+    """Two cameras are left without it, which are too few."""
+    pixels, visible = room.tracks.pixels.copy(), room.tracks.visible.copy()
+    pixels[:, 2], visible[:, 2] = np.roll(pixels[:, 2], 100, axis=0), np.roll(visible[:, 2], 100)
+    refused(changed(room.tracks, pixels, visible).select_cameras([0, 1, 2]), "Camera 'south'", "same time")
 
 
 def test_points_without_volume():

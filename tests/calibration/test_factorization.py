@@ -63,7 +63,7 @@ def test_adjustment_finds_the_lenses(pinhole):
 
 
 def _with_points(data, points):
-    return type(data)(points, data.visible, data.half_diagonals, data.widths)
+    return type(data)(points, data.visible, data.half_diagonals, data.widths, data.pixel_aspects)
 
 
 def test_depth_ratios_obey_equation_5_6(pinhole):

@@ -46,7 +46,8 @@ def clean(noisy):
     """The noisy room's recording with every outlier hidden, and the frames that all four cameras see."""
     visible = noisy.recording.visible.copy()
     visible[:300] &= ~noisy.room.is_outlier
-    recording = Recording(noisy.recording.pixels.copy(), visible, noisy.recording.image_sizes, 300, 4)
+    given = noisy.recording
+    recording = Recording(given.pixels.copy(), visible, given.image_sizes, 300, 4, given.pixel_aspects)
     return recording, np.flatnonzero(visible.sum(axis=1) == 4)
 
 

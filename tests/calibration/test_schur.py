@@ -104,8 +104,9 @@ def test_hidden_observations_never_matter(small, solved):
     rng = np.random.default_rng(1)
     wild = rng.choice([np.nan, np.inf, -np.inf, 1e30], recording.pixels.shape)
     spoilt = Recording(
-        np.where(kept[..., None], recording.pixels, wild), kept, recording.image_sizes, recording.frames, 4
-    )
+        np.where(kept[..., None], recording.pixels, wild), kept, recording.image_sizes, recording.frames, 4,
+        recording.pixel_aspects,
+    )  # fmt: skip
     again = adjust(spoilt, start, kept, freedom, loss_scale=LOSS, rtol=1e-10, steps=300)
     assert again.cost == solved.cost
     np.testing.assert_array_equal(again.state.cameras, solved.state.cameras)
@@ -115,8 +116,9 @@ def test_the_order_of_cameras_never_matters(small, solved):
     recording, start, kept, freedom = small
     order = np.array([2, 0, 3, 1])
     turned = Recording(
-        recording.pixels[:, order], recording.visible[:, order], recording.image_sizes[order], recording.frames, 4
-    )
+        recording.pixels[:, order], recording.visible[:, order], recording.image_sizes[order], recording.frames, 4,
+        recording.pixel_aspects[order],
+    )  # fmt: skip
     begin = RigState(start.cameras[order], start.base[order], start.points)
     free = Freedom(freedom.free[order], freedom.prior_mean[order], freedom.prior_weight[order])
     again = adjust(turned, begin, kept[:, order], free, loss_scale=LOSS, rtol=1e-10, steps=300)

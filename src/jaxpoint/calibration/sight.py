@@ -63,9 +63,9 @@ def derivatives_perturbed(
 
 
 def cross_terms(
-    by_camera: Float[np.ndarray, "B C 2 15"], by_point: Float[np.ndarray, "B C 2 3"]
+    by_camera: Float[np.ndarray, "B C 2 p"], by_point: Float[np.ndarray, "B C 2 3"]
 ) -> Float[np.ndarray, "B 3 D"]:
-    """J_x^T J_c of the normal equations, from what `derivatives` gives; D = 15 C."""
+    """J_x^T J_c of the normal equations, from what `derivatives` gives; D = p C."""
     blocks = np.swapaxes(by_point, 2, 3) @ by_camera
     return blocks.transpose(0, 2, 1, 3).reshape(len(by_point), 3, -1)
 
