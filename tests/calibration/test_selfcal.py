@@ -10,7 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration import selfcal
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.outliers import grow, settle
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.selfcal import calibrate
@@ -274,7 +276,7 @@ def test_a_wrong_rig_is_not_called_good(seed, spoil, monkeypatch):
         return [replace(starts[0], state=RigState(cameras, base, state.points))], stages
 
     monkeypatch.setattr(selfcal, "starts", spoilt)
-    end = calibrate(room.tracks)
-    assert centre_error(np.asarray(end.rig.positions), room.positions) > 0.1, "the start was not bad enough"
-    assert not end.converged
-    assert "probably wrong" in end.message
+    end = with_covariance(calibrate(room.tracks))
+    solved = [room.tracks.names.index(name) for name in end.rig.names]
+    error = centre_error(np.asarray(end.rig.positions), room.positions[solved])
+    assert error < 0.05 or not assess(end).holds

@@ -41,7 +41,7 @@ def lens_test(calibration: Calibration, normal: NormalEquations) -> LensTest | N
     if calibration.freedom is None or not given_lenses(calibration.freedom).any():
         return None
     freedom = calibration.freedom.at_noise(calibration.sigma_px)
-    widths = np.asarray(calibration.rig.image_sizes)[:, 0]
+    widths = np.asarray(calibration.rig.image_sizes)[:, 0].astype(float)
     given, solution = freedom.prior_mean[:, FOCAL], normal.parameters[:, FOCAL]
     found, sigmas = solution.copy(), np.zeros(len(given))
     for camera in np.flatnonzero(given_lenses(calibration.freedom)).tolist():

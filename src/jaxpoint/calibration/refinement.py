@@ -88,7 +88,7 @@ class Refinement:
         test = lens_test(found, normal_equations(found))
         if test is None or not test.refuted.any():
             return solution
-        freedom, widths = solution.freedom, self.recording.image_sizes[:, 0]
+        freedom, widths = solution.freedom, self.recording.image_sizes[:, 0].astype(float)
         for camera in np.flatnonzero(test.refuted).tolist():
             freedom = unknown_again(freedom, camera, widths, NOISE_PX)
         state, outliers = solution.settled.judged.state, self.settings.outliers
