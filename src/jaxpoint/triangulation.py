@@ -153,8 +153,8 @@ def triangulate(
 
 def _beyond_reach(rig: CameraRig, pixels: Float[Array, "N C 2"], visible: Bool[Array, "N C"]) -> Int[Array, " N"]:
     """The flag of points that some camera saw where its lens model has ended."""
-    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - rig.cameras.center, 0.0), axis=-1)
-    return jnp.where((away > rig.reach).any(axis=-1), int(Flag.BEYOND_REACH), 0)
+    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - rig.cameras.center[None], 0.0), axis=-1)
+    return jnp.where((away > rig.reach[None]).any(axis=-1), int(Flag.BEYOND_REACH), 0)
 
 
 def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:

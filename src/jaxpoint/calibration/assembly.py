@@ -58,8 +58,8 @@ def _message(settled: Settled, explained: float) -> str:
     if explained < LOST:
         return (
             f"ended in a rig that keeps only {explained:.0%} of the observations on which pairs of cameras agree "
-            f"({LOST:.0%} wanted): it is probably wrong; see whether all cameras are in step (`jaxpoint check`), or try "
-            "--init essential"
+            f"({LOST:.0%} wanted): it is probably wrong; see whether all cameras are in step (`jaxpoint check`), or "
+            "try --init essential"
         )
     if settled.converged:
         return f"converged after {settled.rounds} rounds: the cost and the inliers no longer change"

@@ -79,8 +79,9 @@ def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Itera
         return
     cause, why, remedy = _cause(calibration)
     share = f"{found.relative:.1%} of" if found.relative < 1 else "more than"
+    how = "hardly determines the cameras" if level == "bad" else "determines the cameras loosely"
     finding = (
-        f"The recording hardly determines the cameras: {_focal(calibration, found, worst)}, and points of the light "
+        f"The recording {how}: {_focal(calibration, found, worst)}, and points of the light "
         f"are expected to be off by {share} its extent; {why}."
     )
     yield Finding(

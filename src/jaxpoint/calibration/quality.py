@@ -5,7 +5,7 @@ The exit code, the console, `metrics.json` and the report show what is decided h
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from jaxpoint.calibration.camera_checks import camera_findings
@@ -90,17 +90,23 @@ def assess(
     """
     settings, align = settings or CalibrateSettings(), align or AlignSettings()
     checks = tuple(_checks(calibration, settings, align))
-    normal = _normal(calibration)
+    normal, geometry = _normal(calibration), list(undetermined(calibration, settings))
     found = [
-        *calibration.findings,
+        *_without_corollary(calibration.findings, geometry),
+        *geometry,
         *prior_findings(calibration, normal),
         *known_lens_findings(calibration, normal),
-        *undetermined(calibration, settings),
         *lens_findings(calibration),
         *camera_findings(calibration, settings, normal),
     ]
     order = {"bad": 0, "care": 1, "good": 2}
     return Quality(checks, tuple(sorted(found, key=lambda item: order[item.level])))
+
+
+def _without_corollary(findings: Iterable[Finding], geometry: Iterable[Finding]) -> Iterator[Finding]:
+    """The findings but for open pixel aspects where the geometry leaves focal lengths open too: one cause is enough."""
+    critical = any(item.level == "bad" for item in geometry)
+    return (item for item in findings if not (critical and item.level == "bad" and item.cause == "pixel aspect"))
 
 
 def _normal(calibration: Calibration) -> NormalEquations | None:
