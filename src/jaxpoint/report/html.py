@@ -26,7 +26,7 @@ from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_trac
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
 from jaxpoint.report.summary import Scene, Summary, px
-from jaxpoint.report.verdict import judge_summary, judge_tracks
+from jaxpoint.report.verdict import advice_of, judge_summary, judge_tracks
 from jaxpoint.tracks import Tracks
 
 Sheets = Sequence[tuple[str, UInt8[np.ndarray, "_ _ 3"]]]
@@ -84,7 +84,7 @@ def write_report(
         sections=_sections(calibration, sheets),
         judgement=judge_summary(summary, quality, advice, settings),
         tiles=_tiles(summary, calibration, seconds),
-        advice=advice or [_NO_ADVICE],
+        advice=[*advice_of(quality.findings), *advice] or [_NO_ADVICE],
         fits=tables.fit_table(summary),
         lenses=tables.lens_table(summary, calibration.time_offsets),
         accuracy=shown,

@@ -29,11 +29,10 @@ class Judgement:
 def judge_summary(summary: Summary, quality: Quality, advice: list[Advice], settings: CalibrateSettings) -> Judgement:
     """The quality gate's decision in words, with what else makes a calibration doubtful."""
     checks = [*quality.checks, *_warnings(summary, settings)]
-    rows = [*checks, *(_row(finding) for finding in quality.findings)]
     if quality.failure is not None:
         title = "Holds, but without cameras that were left out" if quality.holds else "Not to be trusted"
         advice_first = "" if quality.holds else "Do not use this calibration yet. "
-        return Judgement("bad", title, f"{advice_first}{quality.failure}", rows)
+        return Judgement("bad", title, f"{advice_first}{quality.failure}", checks)
     facts = (
         f"on average the cameras agree to {px(summary.mean_px, 2)} on where the light was "
         f"(limit {settings.max_mean_px:g} px), and {summary.kept_fraction:.1%} of {summary.comparable.sum():,} "
@@ -44,14 +43,13 @@ def judge_summary(summary: Summary, quality: Quality, advice: list[Advice], sett
     doubtful = [f"{check.what}: {check.found}." for check in checks if check.level == "care"]
     if first := [*notable, *urgent, *doubtful]:
         sentence = f"It passes its thresholds: {facts}. But look at this first: {first[0]}"
-        return Judgement("care", "Usable, with care", sentence, rows)
-    return Judgement("good", "This calibration can be trusted", f"{facts[0].upper()}{facts[1:]}.", rows)
+        return Judgement("care", "Usable, with care", sentence, checks)
+    return Judgement("good", "This calibration can be trusted", f"{facts[0].upper()}{facts[1:]}.", checks)
 
 
-def _row(finding: Finding) -> Check:
-    """A finding of the gate as a row of the table of checks."""
-    what = f"{finding.cause[0].upper()}{finding.cause[1:]}"
-    return Check(what, finding.finding, finding.remedy, finding.level)
+def advice_of(findings: Sequence[Finding]) -> list[Advice]:
+    """What the gate found, as advice: what fails first."""
+    return [Advice(item.finding, f"{item.remedy.rstrip('.')}.", urgent=item.level == "bad") for item in findings]
 
 
 def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
