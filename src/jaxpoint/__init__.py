@@ -16,7 +16,8 @@ if TYPE_CHECKING:
         align_to_landmarks,
         apply_alignment,
     )
-    from jaxpoint.calibration.result import Calibration, PairTable, Verdict
+    from jaxpoint.calibration.quality import assess
+    from jaxpoint.calibration.result import Calibration, Finding, PairTable, Verdict
     from jaxpoint.calibration.selfcal import calibrate
     from jaxpoint.camera.camera import Camera
     from jaxpoint.camera.rig import CameraRig
@@ -42,10 +43,12 @@ _HOMES = {
     "Tracks": "tracks",
     "Triangulation": "triangulation",
     "Verdict": "calibration.result",
+    "Finding": "calibration.result",
     "align_to_camera_centres": "calibration.alignment",
     "align_to_floor": "calibration.alignment",
     "align_to_landmarks": "calibration.alignment",
     "apply_alignment": "calibration.alignment",
+    "assess": "calibration.quality",
     "calibrate": "calibration.selfcal",
     "detect_led": "detect.led",
     "read_run": "runs",
@@ -56,7 +59,7 @@ _HOMES = {
 
 __all__ = [  # noqa: RUF022 (in the order a newcomer meets them)
     "Tracks", "read_tracks", "detect_led", "LedSettings",
-    "calibrate", "CalibrateSettings", "Calibration", "PairTable", "Verdict",
+    "calibrate", "CalibrateSettings", "Calibration", "PairTable", "Verdict", "assess", "Finding",
     "Camera", "CameraRig", "Pose", "Similarity", "triangulate", "Triangulation",
     "Alignment", "align_to_landmarks", "align_to_camera_centres", "align_to_floor", "apply_alignment",
     "read_run", "write_report",

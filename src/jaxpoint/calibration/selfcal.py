@@ -49,8 +49,10 @@ def calibrate(
     """Calibrate all cameras from the tracks of one moving light; nothing else need be known.
 
     Two-view geometry votes on every observation and finds the lenses' distortion; initialisers compete for a first
-    solution; a robust bundle adjustment alternates with rounds that judge every observation anew. Computed in
-    float64 whatever JAX's global setting. The result has an arbitrary unit and frame until it is aligned with the
+    solution; a robust bundle adjustment alternates with rounds that judge every observation anew. Priors that the
+    recording refutes (images not cropped, square pixels) are given up; a camera that the others contradict is left out
+    of the rig. `findings` says so, and `calibration.quality.assess` whether the result passes. Computed in float64
+    whatever JAX's global setting. The result has an arbitrary unit and frame until it is aligned with the
     room (`align_to_landmarks` and its kin).
 
     Args:

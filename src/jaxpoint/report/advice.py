@@ -162,7 +162,8 @@ def on_outliers(
             share, (x, y) = place
             yield Advice(
                 f"{share:.0%} of the outliers of camera {name} lie near pixel ({x:.0f}, {y:.0f}).",
-                "Something there looks like the light: cover that lamp, window or reflection, or mask it.",
+                "Something there looks like the light: cover that lamp, window or reflection, or mask it "
+                "(`detect led --masks`).",
             )
         when = gathered_time(judged[:, camera], rejected[:, camera])
         if when is not None:
