@@ -34,6 +34,7 @@ OPEN = 3.0  # an aspect of 4/3 that is worse by less cannot be distinguished fro
 LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
 WORTH_CENTER, WORTH_ASPECT = 4.0, 9.0  # least fall of the objective for a prior to be given up: 2 and 3 sigmas,
 WORTH_EACH = 2.0  # and so much more for every parameter that this frees (Akaike 1974)
+COMMON_CHANCE = 0.01  # of one offset of all principal points, as of images that were all cropped alike
 SUSPECT, SUSPECTS = 1.5, 2  # sigmas of a principal point from which the worst cameras are tried one by one
 PATTERN_WORSE = 12.0  # a pattern of standard aspects may be worse by so much than free aspects, which fit noise too
 PATTERN_MARGIN = 6.0  # and must lead the next pattern by so much: 20 to 1
@@ -46,6 +47,8 @@ class Doubts:
 
     centers: Float[np.ndarray, " C"]  # sigmas by which each camera's principal point contradicts its prior
     centers_chance: float  # of all of them together
+    common: Float[np.ndarray, "2"]  # one offset of all of them that explains the most, in image widths
+    common_chance: float  # that there is none
     aspects_chance: float  # of the fall of the cost if every pixel aspect were free
     aspects_sigma: float  # the largest of their log, if they were; 0 where they are free or stated
 
@@ -68,28 +71,34 @@ def doubts_of(calibration: Calibration, normal: NormalEquations | None = None) -
     normal = normal or normal_equations(calibration)
     freedom = calibration.freedom.at_noise(calibration.sigma_px)
     try:
-        centers, chance = _center_tests(normal, freedom, calibration)
+        centers = _center_tests(normal, freedom, calibration)
         aspects = _aspect_test(normal, freedom, calibration.sigma_px)
     except np.linalg.LinAlgError:
         return None
-    return Doubts(centers, chance, *aspects)
+    return Doubts(*centers, *aspects)
 
 
-def _center_tests(normal, freedom: Freedom, calibration: Calibration) -> tuple[np.ndarray, float]:
-    """Of every camera: where its principal point would go without its prior, against that prior's own width."""
+def _center_tests(
+    normal: NormalEquations, freedom: Freedom, calibration: Calibration
+) -> tuple[np.ndarray, float, np.ndarray, float]:
+    """Where principal points would go without their priors, against the priors' own widths: each, all, and alike."""
     cameras = len(calibration.rig)
     if not freedom.free[:, CENTER].any():
-        return np.zeros(cameras), 1.0
+        return np.zeros(cameras), 1.0, np.zeros(2), 1.0
     widths = np.asarray(calibration.rig.image_sizes)[:, 0]
     loose = with_free_centers(freedom, np.ones(cameras, bool), widths, calibration.sigma_px)
     step = normal.solve(loose)
     away = normal.parameters[:, CENTER] - freedom.prior_mean[:, CENTER] + step.change[:, CENTER]
-    squares = np.zeros(cameras)
+    squares, weight, pull = np.zeros(cameras), np.zeros((2, 2)), np.zeros(2)
     for c in range(cameras):
         if (freedom.prior_weight[c, CENTER] > 0).all():
             prior = np.diag(calibration.sigma_px**2 / freedom.prior_weight[c, CENTER])
-            squares[c] = away[c] @ np.linalg.solve(step.block(c, CENTER) + prior, away[c])
-    return np.sqrt(squares), float(chi2.sf(squares.sum(), 2 * cameras))
+            inverse = np.linalg.inv(step.block(c, CENTER) + prior)
+            squares[c] = away[c] @ inverse @ away[c]
+            weight, pull = weight + widths[c] ** 2 * inverse, pull + widths[c] * inverse @ away[c]
+    common = np.linalg.solve(weight, pull) if weight.any() else np.zeros(2)
+    alike = float(chi2.sf(common @ weight @ common, 2))
+    return np.sqrt(squares), float(chi2.sf(squares.sum(), 2 * cameras)), common, alike
 
 
 def _aspect_test(normal, freedom: Freedom, sigma_px: float) -> tuple[float, float]:
@@ -110,6 +119,13 @@ def with_free_centers(freedom: Freedom, chosen: np.ndarray, widths: np.ndarray, 
     some = np.flatnonzero(chosen)
     weight[some, CENTER] = ((noise_px / (FREE_CENTER * widths[some])) ** 2)[:, None]
     return Freedom(freedom.free, freedom.prior_mean, weight)
+
+
+def with_moved_centers(freedom: Freedom, offset: Float[np.ndarray, "2"], recording: Recording) -> Freedom:
+    """The freedom with the priors of all principal points moved alike, by an offset in image widths."""
+    mean = freedom.prior_mean.copy()
+    mean[recording.exists, CENTER] += recording.image_sizes[recording.exists, :1] * offset
+    return Freedom(freedom.free, mean, freedom.prior_weight)
 
 
 def with_free_aspects(freedom: Freedom, chosen: np.ndarray, noise_px: float = NOISE_PX) -> Freedom:
@@ -167,6 +183,8 @@ class PriorChoice:
                 if doubts.centers[camera] > SUSPECT:
                     alone = np.arange(len(real)) == camera
                     yield self._solved(state, with_free_centers(freedom, alone, self.recording.image_sizes[:, 0]))
+        if self.settings.lens.principal_point == "prior" and doubts.common_chance < COMMON_CHANCE:
+            yield self._solved(state, with_moved_centers(freedom, doubts.common, self.recording))
         held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
         doubted = doubts.any_center or doubts.aspects_chance < CHANCE
         if self.settings.lens.aspect != "auto" or not held.any():
@@ -242,5 +260,6 @@ def _price(trial: Solution, before: Solution) -> float:
     freed = trial.freedom.free & ((trial.freedom.prior_weight < before.freedom.prior_weight) | ~before.freedom.free)
     aspects = trial.freedom.free[:, ASPECT] != before.freedom.free[:, ASPECT]
     pinned = trial.freedom.prior_mean[:, ASPECT] != before.freedom.prior_mean[:, ASPECT]
+    moved = (trial.freedom.prior_mean[:, CENTER] != before.freedom.prior_mean[:, CENTER]).any()
     base = WORTH_ASPECT if aspects.any() or pinned.any() else WORTH_CENTER
-    return base + WORTH_EACH * float(freed.sum())
+    return base + WORTH_EACH * float(freed.sum() + 2 * moved)
