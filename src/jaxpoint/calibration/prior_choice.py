@@ -183,8 +183,8 @@ class PriorChoice:
                 if doubts.centers[camera] > SUSPECT:
                     alone = np.arange(len(real)) == camera
                     yield self._solved(state, with_free_centers(freedom, alone, self.recording.image_sizes[:, 0]))
-        if self.settings.lens.principal_point == "prior" and doubts.common_chance < COMMON_CHANCE:
-            yield self._solved(state, with_moved_centers(freedom, doubts.common, self.recording))
+            if doubts.common_chance < COMMON_CHANCE:
+                yield self._solved(state, with_moved_centers(freedom, doubts.common, self.recording))
         held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
         doubted = doubts.any_center or doubts.aspects_chance < CHANCE
         if self.settings.lens.aspect != "auto" or not held.any():
