@@ -104,9 +104,9 @@ class Refinement:
             return found
         clocks, names = self.clocks, self.recorded.names
         sigma = clocks.unit_sigmas * np.sqrt(variance_px2(found))
-        self.stages.append(_clock_stage(names, clocks, sigma, self.recorded, found.tracks))
         return replace(
             found,
+            stages=(*found.stages, _clock_stage(names, clocks, sigma, self.recorded, found.tracks)),
             time_offsets=TimeOffsets(clocks.offsets, sigma),
             converged=found.converged and clocks.still,
             message=found.message if clocks.still else f"{found.message}; the time offsets did not converge",

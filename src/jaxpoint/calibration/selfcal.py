@@ -146,9 +146,9 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
         refining.tracks, refining.recording, solution.settled, solution.freedom, settings, pairs, float(explained)
     )
     check_volume(found.points[found.point_valid])
+    stages = (_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled))
     return replace(
-        with_reach(refining.with_offsets(found)),
-        stages=(_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled)),
+        with_reach(refining.with_offsets(replace(found, stages=stages))),
         seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
         findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig)),
     )
