@@ -146,15 +146,17 @@ def triangulate(
         result = part(0)
         result = result if count == size else jax.tree.map(lambda leaf: leaf[:count], result)
     if rig.reach is not None:
-        beyond = _beyond_reach(rig, as_float(pixels), jnp.asarray(visible, dtype=bool))
+        beyond = _beyond_reach(rig.cameras, rig.reach, as_float(pixels), jnp.asarray(visible, dtype=bool))
         result = eqx.tree_at(lambda found: found.flags, result, result.flags | beyond)
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
 
 
-def _beyond_reach(rig: CameraRig, pixels: Float[Array, "N C 2"], visible: Bool[Array, "N C"]) -> Int[Array, " N"]:
+def _beyond_reach(
+    cameras: Camera, reach: Float[Array, " C"], pixels: Float[Array, "N C 2"], visible: Bool[Array, "N C"]
+) -> Int[Array, " N"]:
     """The flag of points that some camera saw where its lens model has ended."""
-    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - rig.cameras.center[None], 0.0), axis=-1)
-    return jnp.where((away > rig.reach[None]).any(axis=-1), int(Flag.BEYOND_REACH), 0)
+    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - cameras.center[None], 0.0), axis=-1)
+    return jnp.where((away > reach[None]).any(axis=-1), int(Flag.BEYOND_REACH), 0)
 
 
 def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:

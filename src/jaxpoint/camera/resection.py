@@ -57,7 +57,7 @@ def resect(
         InsufficientDataError: fewer than six points, points that cannot tell a camera (all or nearly all on a plane),
             or a mirrored world.
     """
-    points, pixels = promote(as_float(points), as_float(pixels))
+    points, pixels = (as_float(values) for values in promote(points, pixels))
     if points.ndim != 2 or points.shape[1] != 3 or pixels.shape != (points.shape[0], 2):
         raise ValueError(f"N points (N, 3) need pixels (N, 2), not {points.shape} and {pixels.shape}.")
     if lens_terms not in _LENS_TERMS or (lens_terms and not refine):
