@@ -10,7 +10,7 @@ import itertools
 import math
 from enum import IntFlag
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -146,17 +146,20 @@ def triangulate(
         result = part(0)
         result = result if count == size else jax.tree.map(lambda leaf: leaf[:count], result)
     if rig.reach is not None:
-        beyond = _beyond_reach(rig.cameras, rig.reach, as_float(pixels), jnp.asarray(visible, dtype=bool))
-        result = eqx.tree_at(lambda found: found.flags, result, result.flags | beyond)
+        flags = _with_reach(rig.cameras.center, rig.reach, pixels, visible, result.flags, jnp if traced else np)
+        result = eqx.tree_at(lambda found: found.flags, result, jnp.asarray(flags))
     return jax.tree.map(lambda leaf: leaf.reshape(*batch, *leaf.shape[1:]), result)
 
 
-def _beyond_reach(
-    cameras: Camera, reach: Float[Array, " C"], pixels: Float[Array, "N C 2"], visible: Bool[Array, "N C"]
-) -> Int[Array, " N"]:
-    """The flag of points that some camera saw where its lens model has ended."""
-    away = jnp.linalg.norm(jnp.where(visible[..., None], pixels - cameras.center[None], 0.0), axis=-1)
-    return jnp.where((away > reach[None]).any(axis=-1), int(Flag.BEYOND_REACH), 0)
+def _with_reach(center, reach, pixels, visible, flags, xp: Any) -> Any:
+    """The flags with that of points that some camera saw where its lens model has ended; xp is numpy or jax.numpy.
+
+    Outside of a trace numpy does it: single operations on arrays of this size made XLA's compiler crash.
+    """
+    center, reach, pixels, visible, flags = (xp.asarray(part) for part in (center, reach, pixels, visible, flags))
+    away = xp.sqrt((xp.where(visible[..., None], pixels - center[None], 0.0) ** 2).sum(axis=-1))
+    beyond = (away > reach[None]).any(axis=-1)
+    return xp.where(beyond, flags | int(Flag.BEYOND_REACH), flags)
 
 
 def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:
