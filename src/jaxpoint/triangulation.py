@@ -154,7 +154,7 @@ def triangulate(
 def _with_reach(center, reach, pixels, visible, flags, xp: Any) -> Any:
     """The flags with that of points that some camera saw where its lens model has ended; xp is numpy or jax.numpy.
 
-    Outside of a trace numpy does it: XLA's compiler crashed twice while compiling a single operation here (cause unknown).
+    Outside of a trace numpy does it: XLA's compiler crashed twice on a single operation here (cause unknown).
     """
     center, reach, pixels, visible, flags = (xp.asarray(part) for part in (center, reach, pixels, visible, flags))
     away = xp.sqrt((xp.where(visible[..., None], pixels - center[None], 0.0) ** 2).sum(axis=-1))
