@@ -18,7 +18,6 @@ from doubtful_rigs_generator import Rig
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import centres
 from jaxpoint.calibration.uncertainty import centres_by_numbers
-from jaxpoint.camera.camera import PARAMETERS
 
 FAR = 5.0  # times the median distance
 
@@ -121,7 +120,7 @@ def _predicted(calibration: Calibration, fit: Fit) -> tuple[np.ndarray, np.ndarr
     count = len(calibration.rig)
     if calibration.camera_covariance is None:
         return np.zeros((count, 2)), np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
-    whole = np.asarray(calibration.camera_covariance).reshape(count, PARAMETERS, count, PARAMETERS)
+    whole = np.asarray(calibration.camera_covariance).reshape(count, -1, count, calibration.rig.camera_size)
     own = np.einsum("cpcq->cpq", whole)
     turn = fit.scale * fit.turn @ centres_by_numbers(calibration.rig)
     focal = np.sqrt(np.maximum(np.diagonal(own, axis1=1, axis2=2)[:, 6:8], 0.0))

@@ -19,7 +19,6 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.distortion import Brown, brown_slopes, undistort_rows
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.cores import by_all_cores
@@ -229,7 +228,8 @@ def disturbed(cameras: Camera, noise: Noise, key: Array) -> Camera:
         rotation = so3.exp(noise.turn * draw[:3]) @ camera.cam_from_world.rotation
         place = camera.position + noise.place * draw[3:6]
         focal = camera.focal * (1 + noise.focal * draw[6])
-        return Camera(focal, camera.center, camera.distortion, Pose(rotation, -rotation @ place))
+        lens = type(camera.lens).of(focal, camera.center, camera.distortion)
+        return Camera(lens, Pose(rotation, -rotation @ place))
 
     return jax.vmap(one)(cameras, draw)
 
@@ -238,7 +238,7 @@ def seen_points(cameras: Camera, ends: Float[Array, "3 k B"], noise: Noise, key:
     """The body's points that every camera takes for the ends: moved along the axis, and the front one up across it."""
     rear, front = ends[:, 0, None], ends[:, 1, None]
     axis = _unit(front - rear)
-    views = cameras.focal.shape[1]
+    views = cameras.lens.parameters.shape[1]
     slides = noise.slide * _normal(key, (2, views, ends.shape[2]), ends.dtype)
     across = _unit(_cross(axis, front - _positions(cameras)))
     up = jnp.where(across[2] < 0, -1.0, 1.0)[None] * across
@@ -252,9 +252,7 @@ def project(cameras: Camera, points: Float[Array, "3 V B"]) -> Float[Array, "2 V
     r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
     x, y, z = points
     right, down, depth = (r[i, 0] * x + r[i, 1] * y + r[i, 2] * z + t[i] for i in range(3))
-    assert isinstance(cameras.distortion, Brown)
-    bent, _ = brown_slopes(cameras.distortion.coefficients, right / depth, down / depth)
-    return jnp.stack([cameras.focal[i] * bent[i] + cameras.center[i] for i in range(2)])
+    return jnp.stack(cameras.lens.image_of(cameras.lens.parameters, (right, down, depth)))
 
 
 def plane_direction(
@@ -264,16 +262,14 @@ def plane_direction(
 
     Planes count by the length of what was seen: two ends that are far apart say more than two that are near.
     """
-    assert isinstance(cameras.distortion, Brown)
     wanted = visible.T
     both = jnp.concatenate([pixels[:, 0], pixels[:, 1]], axis=2)  # one program for both ends
-    x, y = ((both[i] - cameras.center[i]) / cameras.focal[i] for i in range(2))
     twice = jnp.concatenate([wanted, wanted], axis=1)
-    u, v, _ = undistort_rows(cameras.distortion.coefficients, x, y, twice)
+    (u, v, _), _ = cameras.lens.direction_of(cameras.lens.parameters, *both, twice)
     (u0, u1), (v0, v1) = jnp.split(u, 2, axis=1), jnp.split(v, 2, axis=1)
     r = cameras.cam_from_world.rotation
     rays = [jnp.stack([u * r[0, i] + v * r[1, i] + r[2, i] for i in range(3)]) for u, v in ((u0, v0), (u1, v1))]
-    normals = jnp.where(wanted[None], cameras.focal[0][None] * _cross(*rays), 0.0)
+    normals = jnp.where(wanted[None], cameras.lens.parameters[0][None] * _cross(*rays), 0.0)
     direction = common_direction(normals)
     local = [sum(r[k, i] * direction[None, i] for i in range(3)) for k in range(3)]
     forward = (u1 - u0) * (local[0] - u0 * local[2]) + (v1 - v0) * (local[1] - v0 * local[2])

@@ -93,7 +93,11 @@ def moved(
         focal = rig.cameras.focal * scale
         center = (rig.cameras.center + 0.5) * scale - 0.5 + shift
         whole = rig.image_sizes if sizes is None else jnp.asarray(sizes, dtype=rig.image_sizes.dtype)
-        return eqx.tree_at(lambda r: (r.cameras.focal, r.cameras.center, r.image_sizes), rig, (focal, center, whole))
+        return eqx.tree_at(
+            lambda r: (r.cameras.lens, r.image_sizes),
+            rig,
+            (type(rig.cameras.lens).of(focal, center, rig.cameras.distortion), whole),
+        )
 
 
 def fitted_shifts(rig: CameraRig, places: Labels) -> Float[np.ndarray, "C 2"]:

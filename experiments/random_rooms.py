@@ -32,13 +32,14 @@ from rich.progress import track
 
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.assembly import centred
-from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.config import CalibrateSettings, to_toml
 from jaxpoint.errors import JaxpointError, UsageError
 from jaxpoint.simulate.rooms import Room, random_room
@@ -252,7 +253,7 @@ def reference(room: Room, settings: CalibrateSettings) -> Settled:
 def true_state(room: Room, recording: Recording) -> RigState:
     """The truth as the adjustment sees it."""
     count, size = recording.cameras, len(recording.image_sizes)
-    base, numbers = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, SIZE))
+    base, numbers = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, size_of(Brown)))
     points = np.zeros((len(recording.pixels), 3))
     base[:count], points[: recording.frames] = room.rotation, room.points
     numbers[:, FOCAL] = np.log(1000.0)  # of the cameras that only fill up the arrays

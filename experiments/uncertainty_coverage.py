@@ -25,7 +25,7 @@ from scipy.stats import chi2
 
 from jaxpoint.calibration.alignment import align_to_landmarks, apply_alignment
 from jaxpoint.calibration.assembly import centred, rig_of
-from jaxpoint.calibration.bundle import CENTER, FOCAL, LEAST_SQUARES, SIZE
+from jaxpoint.calibration.bundle import LEAST_SQUARES
 from jaxpoint.calibration.outliers import robust_sigma
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.propagation import joint_uncertainty
@@ -33,6 +33,8 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust,
 from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.calibration.uncertainty import Anchors, Uncertainty, uncertainty_of
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import JaxpointError
 from jaxpoint.simulate.rooms import Room, _displaced, random_room
@@ -117,7 +119,7 @@ class Recalibrated:
     def true_state(self, recording: Recording) -> RigState:
         """The true rig as the adjustment writes it."""
         room, count = self.room, recording.cameras
-        numbers = np.zeros((len(recording.image_sizes), SIZE))
+        numbers = np.zeros((len(recording.image_sizes), size_of(Brown)))
         base = np.tile(np.eye(3), (len(numbers), 1, 1))
         base[:count], numbers[:count, 3:6] = room.rotation, room.translation
         numbers[:, FOCAL] = np.log(1000.0)

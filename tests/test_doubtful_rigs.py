@@ -188,7 +188,7 @@ def test_errors_are_those_made():
 def _with(rig, focal):
     lens = rig.cameras
     pose = lens.cam_from_world
-    numbers = (lens.center, lens.distortion.coefficients, pose.rotation, pose.translation)
+    numbers = (lens.center, lens.distortion, pose.rotation, pose.translation)
     return type(rig).from_parameters(focal, *numbers, rig.image_sizes, rig.names)
 
 

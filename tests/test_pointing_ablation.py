@@ -38,7 +38,7 @@ def cameras_of(job):
         matrix = np.array([[focal[0], 0, center[0]], [0, focal[1], center[1]], [0, 0, 1]])
         pose = own.cam_from_world
         rotation, translation = np.asarray(pose.rotation[k]), np.asarray(pose.translation[k])
-        yield rotation, translation, matrix, np.asarray(own.distortion.coefficients[k])
+        yield rotation, translation, matrix, np.asarray(own.distortion[k])
 
 
 def projected(camera, point):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxpoint import triangulation
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.distortion import NoDistortion
+from jaxpoint.camera.pinhole import Pinhole
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import Flag, Triangulation, triangulate
@@ -294,7 +294,7 @@ def test_without_covariance_all_else_is_the_same():
 
 def test_other_lenses():
     plain = ring_of_cameras(distorted=False)
-    other = eqx.tree_at(lambda rig: rig.cameras.distortion, plain, NoDistortion())
+    other = eqx.tree_at(lambda rig: rig.cameras.lens, plain, Pinhole(plain.cameras.lens.parameters[:, :4]))
     assert_same(triangulate(other, NOISY, VISIBLE), triangulate(plain, NOISY, VISIBLE))
 
 

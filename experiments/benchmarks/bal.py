@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -47,8 +46,15 @@ def read_bal(path: Path) -> BundleProblem:
 class BalModel(AbstractModel):
     """BAL's camera; residual is the projected minus the observed pixel (px)."""
 
-    camera_size: ClassVar[int] = SIZE
-    residual_size: ClassVar[int] = 2
+    @property
+    def camera_size(self) -> int:
+        """As the files have them."""
+        return SIZE
+
+    @property
+    def residual_size(self) -> int:
+        """A pixel."""
+        return 2
 
     def state(self, cameras, constants):
         """Rotation matrices and the remaining numbers of the cameras; `constants` are the base rotations (C, 3, 3)."""

@@ -107,7 +107,7 @@ def task_of(problem: BundleProblem, rtol: float, steps: int, block: int = bundle
     pixels, weights, points = dense(problem, block)
     free = free_of(problem.parameters)
     held = tuple(np.flatnonzero(~free).tolist())
-    model = BalModel() if problem.parameters == 9 else bundle.BrownModel(held=held)
+    model = BalModel() if problem.parameters == 9 else bundle.CameraModel(held=held)
     nothing = jnp.zeros(cameras.shape)
     free = jnp.asarray(np.broadcast_to(free, cameras.shape))
     data = Problem(

@@ -134,7 +134,7 @@ def opencv(scene: Scene) -> np.ndarray:
     """undistortPoints and triangulatePoints."""
     ideal, poses = [], []
     for index, camera in enumerate(scene.rig):
-        (lens,) = map(np.asarray, jax.tree.leaves(camera.distortion))
+        lens = np.asarray(camera.distortion)
         seen = np.ascontiguousarray(scene.pixels[:, index])[:, None]
         ideal.append(cv2.undistortPoints(seen, np.asarray(camera.intrinsics), lens)[:, 0].T)
         pose = camera.cam_from_world

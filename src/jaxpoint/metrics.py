@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from jaxpoint.calibration.quality import Quality
 from jaxpoint.calibration.result import Calibration, Verdict
-from jaxpoint.camera.distortion import Brown
 
 
 def metrics(
@@ -69,13 +68,14 @@ def _verdict(quality: Quality) -> dict[str, Any]:
 def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
     cameras = calibration.rig.cameras
     focal, center = np.asarray(cameras.focal), np.asarray(cameras.center)
-    coefficients = np.asarray(cast(Brown, cameras.distortion).coefficients)
+    coefficients = np.asarray(cameras.distortion)
     kept, visible = calibration.kept, calibration.tracks.visible
     return [
         {
             "name": name,
             "focal_px": _numbers(focal[c]),
             "center_px": _numbers(center[c]),
+            "lens": type(cameras.lens).name,
             "distortion": _numbers(coefficients[c]),
             "used": int(kept[:, c].sum()),
             "total": int(visible[:, c].sum()),

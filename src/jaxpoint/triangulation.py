@@ -6,8 +6,10 @@ on the pixel error of the full camera model follows (Hartley and Zisserman 2004,
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
+from collections.abc import Iterable
 from enum import IntFlag
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,12 +21,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from jaxpoint.camera.camera import PARAMETERS, Camera
-from jaxpoint.camera.distortion import AbstractDistortion, Brown, brown_slopes, undistort_rows
+from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.lens import Slopes
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.cores import by_all_cores
-from jaxpoint.geometry.arrays import AnyArray, as_float, check_whole, stack_last, widest
+from jaxpoint.geometry.arrays import AnyArray, as_float, check_whole, widest
 from jaxpoint.geometry.linalg import Symmetric, Vector, symmetric_full, symmetric_inverse, symmetric_times
 
 MIN_PARALLAX = math.radians(2.0)
@@ -40,7 +42,7 @@ _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 class Flag(IntFlag):
     """What is wrong with a triangulated point."""
 
-    BEHIND = 1  # it lies behind a camera that sees it
+    BEHIND = 1  # it lies behind a camera that sees it, or beyond all directions of its lens
     LOW_PARALLAX = 2  # all lines of sight are within 2 degrees of parallel: its distance is hardly determined
     FEW_VIEWS = 4  # fewer than two usable views: there is no point
     BEYOND_REACH = 16  # it was seen where a calibration found that the lens model no longer holds
@@ -97,7 +99,7 @@ def triangulate(
         pixels: px.
         visible: which of them to use.
         sigma_px: standard deviation of one pixel coordinate, px; scales the covariance.
-        camera_covariance: covariance of the rig's numbers, D = 15 C, in the order of `Camera.perturbed` camera by
+        camera_covariance: covariance of the rig's parameters, D = p C, in the order of `Camera.perturbed` camera by
             camera; its effect is added to the points' covariance.
         refine_steps: Levenberg-Marquardt steps after the linear solution, at most.
         covariance: whether to give the points' covariance; without it a call on a CPU takes about a fifth less time
@@ -116,10 +118,10 @@ def triangulate(
             f"{cameras} cameras need pixels of shape (..., {cameras}, 2) and visible of shape (..., {cameras}), "
             f"not {pixels.shape} and {visible.shape}."
         )
-    size = PARAMETERS * cameras
+    size = rig.camera_size * cameras
     if camera_covariance is not None and camera_covariance.shape != (size, size):
         raise ValueError(
-            f"The covariance of {cameras} cameras has shape {(size, size)} ({PARAMETERS} numbers each), "
+            f"The covariance of {cameras} cameras has shape {(size, size)} ({rig.camera_size} parameters each), "
             f"not {camera_covariance.shape}."
         )
     batch = pixels.shape[:-2]
@@ -228,11 +230,11 @@ def _triangulate_block(
 ) -> tuple:
     """What was seen, where that is enough, and of one block: points, residuals, normal matrix, rms, parallax, flags.
 
-    Here and below the cameras are `rows`: every number of theirs is a column (C, 1) that meets arrays (C, B).
+    Here and below the cameras are `rows`: every parameter of theirs is a column (C, 1) that meets arrays (C, B).
     """
     wanted = visible & jnp.isfinite(pixels[0]) & jnp.isfinite(pixels[1])
     pixel_x, pixel_y = jnp.where(wanted[None], pixels, 0.0)
-    u, v, in_range = _ideal(cameras, pixel_x, pixel_y, wanted)
+    (u, v, w), in_range = _directions(cameras, pixel_x, pixel_y, wanted)
     used = wanted & in_range
     views = _sum(used.astype(pixels.dtype))
     enough = views >= 2
@@ -240,15 +242,15 @@ def _triangulate_block(
     # The root makes XLA keep the numbers: it would turn bits into numbers anew wherever they are used.
     weight = jnp.sqrt(jnp.where(used, 1.0, 0.0).astype(pixels.dtype))
     pixel_x, pixel_y, u, v = (jnp.where(used, values, 0.0) for values in (pixel_x, pixel_y, u, v))
-    seen = Seen(pixel_x, pixel_y, u, v, weight, jnp.maximum(views, 1))
+    seen = Seen(pixel_x, pixel_y, u, v, jnp.where(used, w, 1.0), weight, jnp.maximum(views, 1))
 
     points, normal = _optimum(cameras, seen, steps)
-    x, y, depth = _projected(cameras, seen, points)
+    (x, y), behind = _projected(cameras, seen, points)
     residuals = (x - seen.pixel_x) * weight, (y - seen.pixel_y) * weight
     cost = _mean(seen, residuals[0] ** 2 + residuals[1] ** 2)
     parallax = _parallax(cameras, seen)
     flags = (
-        Flag.BEHIND * (_sum(_behind(depth, weight)) > 0)
+        Flag.BEHIND * (_sum(behind) > 0)
         + Flag.LOW_PARALLAX * (enough & (parallax < MIN_PARALLAX))
         + Flag.FEW_VIEWS * ~enough
         + Flag.LENS_RANGE * jnp.any(visible & ~(wanted & in_range), axis=0)
@@ -262,8 +264,9 @@ class Seen(NamedTuple):
 
     pixel_x: Float[Array, "C B"]  # px
     pixel_y: Float[Array, "C B"]
-    ideal_x: Float[Array, "C B"]  # undistorted, on the z = 1 plane
-    ideal_y: Float[Array, "C B"]
+    sight_x: Float[Array, "C B"]  # direction of the line of sight in the camera; z = 1 unless a lens sees sideways
+    sight_y: Float[Array, "C B"]
+    sight_z: Float[Array, "C B"]
     weight: Float[Array, "C B"]  # 1 where used
     views: Float[Array, " B"]  # how many are used; 1 at least
 
@@ -345,29 +348,32 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[tuple, tu
     return (points, normal), (points_by, normal_by)
 
 
-def _ideal(
+def _directions(
     cameras: Camera, pixel_x: Float[Array, "C B"], pixel_y: Float[Array, "C B"], wanted: Bool[Array, "C B"]
-) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Bool[Array, "C B"]]:
-    """Undistorted places on the z = 1 plane, and whether the lens model has them."""
-    x, y = (jnp.where(wanted, (pixel_x, pixel_y)[i] - cameras.center[i], 0.0) / cameras.focal[i] for i in range(2))
-    if isinstance(cameras.distortion, Brown):
-        return undistort_rows(cameras.distortion.coefficients, x, y, wanted)
-    ideal, valid = jax.vmap(lambda lens, place: lens.undistort(place))(_from_rows(cameras).distortion, stack_last(x, y))
-    return ideal[..., 0], ideal[..., 1], valid
+) -> tuple[Vector, Bool[Array, "C B"]]:
+    """Lines of sight in the cameras, and whether the lenses have them."""
+    return cameras.lens.direction_of(cameras.lens.parameters, pixel_x, pixel_y, wanted)
 
 
 def _linear(cameras: Camera, seen: Seen) -> Vector:
-    """Least squares of the rows x P3 - P1 and y P3 - P2 in camera units, each scaled to a distance from its plane."""
+    """Least squares of the rows x P3 - z P1 and y P3 - z P2, each scaled to a distance from its plane.
+
+    Where a lens sees sideways z may be 0, and the row x P2 - y P1 is taken too.
+    """
     r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
+    x, y, z = seen.sight_x, seen.sight_y, seen.sight_z
+    sideways = cameras.lens.sees_sideways
+    crosses = ((x, z, 2, 0), (y, z, 2, 1), (x, y, 1, 0)) if sideways else ((x, None, 2, 0), (y, None, 2, 1))
     rows, scaled, offsets = [], [], []
-    for k, place in enumerate((seen.ideal_x, seen.ideal_y)):
-        row = [place * r[2, i] - r[k, i] for i in range(3)]
-        weight = seen.weight / (1 + place * place)  # the rows of a rotation are unit vectors at right angles
+    for one, other, i, j in crosses:
+        # The rows of a rotation are unit vectors at right angles.
+        row = [one * r[i, k] - (r[j, k] if other is None else other * r[j, k]) for k in range(3)]
+        weight = seen.weight if sideways else seen.weight / (1 + one * one)
         rows.append(row)
         scaled.append([weight * entry for entry in row])
-        offsets.append(place * t[2] - t[k])
-    matrix = tuple(_mean(seen, scaled[0][i] * rows[0][j] + scaled[1][i] * rows[1][j]) for i, j in _PAIRS)
-    vector = tuple(_mean(seen, scaled[0][i] * offsets[0] + scaled[1][i] * offsets[1]) for i in range(3))
+        offsets.append(one * t[i] - (t[j] if other is None else other * t[j]))
+    matrix = tuple(_mean(seen, _total(a[i] * b[j] for a, b in zip(scaled, rows, strict=True))) for i, j in _PAIRS)
+    vector = tuple(_mean(seen, _total(a[i] * b for a, b in zip(scaled, offsets, strict=True))) for i in range(3))
     return tuple(-value for value in symmetric_times(symmetric_inverse(matrix), vector))
 
 
@@ -378,20 +384,22 @@ def _fit(cameras: Camera, seen: Seen, points: Vector) -> Fit:
     result of a division.
     """
     r = cameras.cam_from_world.rotation
-    u, v, depth = _on_plane(cameras, seen, points)
-    (bent_x, bent_y), slopes = _bent(cameras, u, v)
-    x = (cameras.focal[0] * bent_x + cameras.center[0] - seen.pixel_x) * seen.weight
-    y = (cameras.focal[1] * bent_y + cameras.center[1] - seen.pixel_y) * seen.weight
-    xx, xy, yx, yy = (cameras.focal[k // 2] * seen.weight * slope / depth for k, slope in enumerate(slopes))
-    u_by, v_by = ([r[k, i] - place * r[2, i] for i in range(3)] for k, place in enumerate((u, v)))
-    x_by = [xx * u_by[i] + xy * v_by[i] for i in range(3)]
-    y_by = [yx * u_by[i] + yy * v_by[i] for i in range(3)]
+    slopes, behind = _slopes(cameras, seen, points)
+    x = (slopes.pixel[0] - seen.pixel_x) * seen.weight
+    y = (slopes.pixel[1] - seen.pixel_y) * seen.weight
+    x_by, y_by = (
+        [seen.weight * (a * r[0, i] + b * r[1, i] + c * r[2, i]) for i in range(3)] for a, b, c in slopes.by_direction
+    )
     return Fit(
-        _mean(seen, _behind(depth, seen.weight)),
+        _mean(seen, behind),
         _mean(seen, x * x + y * y),
         tuple(_mean(seen, x_by[i] * x + y_by[i] * y) for i in range(3)),
         tuple(_mean(seen, x_by[i] * x_by[j] + y_by[i] * y_by[j]) for i, j in _PAIRS),
     )
+
+
+def _total(parts: Iterable[Float[Array, "C B"]]) -> Float[Array, "C B"]:
+    return functools.reduce(jnp.add, parts)
 
 
 def _sum(rows: Float[Array, "C B"]) -> Float[Array, " B"]:
@@ -404,59 +412,43 @@ def _mean(seen: Seen, rows: Float[Array, "C B"]) -> Float[Array, " B"]:
     return _sum(rows) / seen.views
 
 
-def _on_plane(
-    cameras: Camera, seen: Seen, points: Vector
-) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Float[Array, "C B"]]:
-    """Ideal places of points in every camera, and depths; these never 0, and 1 where a view is not used."""
+def _local(cameras: Camera, seen: Seen, points: Vector) -> Vector:
+    """Points in every camera; straight ahead where a view is not used."""
     r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
     x, y, z = points
     right, down, depth = (r[i, 0] * x[None] + r[i, 1] * y[None] + r[i, 2] * z[None] + t[i] for i in range(3))
-    tiny = jnp.finfo(depth.dtype).eps
-    depth = jnp.where(seen.weight > 0, jnp.where(jnp.abs(depth) < tiny, tiny, depth), 1.0)
-    return right / depth, down / depth, depth
+    used = seen.weight > 0
+    if cameras.lens.sees_sideways:
+        right, down = jnp.where(used, right, 0.0), jnp.where(used, down, 0.0)
+    return right, down, jnp.where(used, depth, 1.0)
 
 
-def _behind(depth: Float[Array, "C B"], weight: Float[Array, "C B"]) -> Float[Array, "C B"]:
-    """1 where a camera sees a point behind itself."""
-    return jnp.where(depth < 0, weight, 0.0)
-
-
-def _bent(
-    cameras: Camera, u: Float[Array, "C B"], v: Float[Array, "C B"]
-) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Distorted places x', y', and d x'/du, d x'/dv, d y'/du, d y'/dv."""
-    if isinstance(cameras.distortion, Brown):
-        bent, (xx, xy, yy) = brown_slopes(cameras.distortion.coefficients, u, v)
-        return bent, (xx, xy, xy, yy)
-
-    def one(lens: AbstractDistortion, place: Float[Array, "B 2"]) -> tuple[Array, Array, Array]:
-        along_u, along_v = (jnp.zeros_like(place).at[:, i].set(1.0) for i in range(2))
-        bent, by_u = jax.jvp(lens.distort, (place,), (along_u,))
-        return bent, by_u, jax.jvp(lens.distort, (place,), (along_v,))[1]
-
-    bent, by_u, by_v = jax.vmap(one)(_from_rows(cameras).distortion, stack_last(u, v))
-    return (bent[..., 0], bent[..., 1]), (by_u[..., 0], by_v[..., 0], by_u[..., 1], by_v[..., 1])
+def _slopes(cameras: Camera, seen: Seen, points: Vector) -> tuple[Slopes, Float[Array, "C B"]]:
+    """Pixels of points in every camera and their derivatives, and where a camera has the point behind it."""
+    local = _local(cameras, seen, points)
+    return cameras.lens.slopes_of(cameras.lens.parameters, local), _behind(cameras, local, seen.weight)
 
 
 def _projected(
     cameras: Camera, seen: Seen, points: Vector
-) -> tuple[Float[Array, "C B"], Float[Array, "C B"], Float[Array, "C B"]]:
-    """Pixel x and y and depth of points in every camera; where a view is not used they mean nothing."""
-    u, v, depth = _on_plane(cameras, seen, points)
-    x, y = _bent(cameras, u, v)[0]
-    return cameras.focal[0] * x + cameras.center[0], cameras.focal[1] * y + cameras.center[1], depth
+) -> tuple[tuple[Float[Array, "C B"], Float[Array, "C B"]], Float[Array, "C B"]]:
+    """Pixels of points in every camera, which mean nothing where a view is not used, and where they lie behind it."""
+    local = _local(cameras, seen, points)
+    return cameras.lens.image_of(cameras.lens.parameters, local), _behind(cameras, local, seen.weight)
 
 
-def _from_rows(cameras: Camera) -> Camera:
-    """The cameras with their axis first again, as `vmap` takes them."""
-    return jax.tree.map(lambda leaf: jnp.moveaxis(leaf[..., 0], -1, 0), cameras)
+def _behind(cameras: Camera, local: Vector, weight: Float[Array, "C B"]) -> Float[Array, "C B"]:
+    """1 where a camera cannot see a point that it is said to see."""
+    if cameras.lens.sees_sideways:
+        return jnp.where(cameras.lens.in_range(cameras.lens.parameters, local), 0.0, weight)
+    return jnp.where(local[2] < 0, weight, 0.0)
 
 
 def _parallax(cameras: Camera, seen: Seen) -> Float[Array, " B"]:
     """Largest angle between the lines of sight, from the chord between their directions: exact where it is small."""
     r = cameras.cam_from_world.rotation
-    rays = [seen.ideal_x * r[0, i] + seen.ideal_y * r[1, i] + r[2, i] for i in range(3)]
-    length = jnp.sqrt(1 + seen.ideal_x**2 + seen.ideal_y**2)
+    rays = [seen.sight_x * r[0, i] + seen.sight_y * r[1, i] + seen.sight_z * r[2, i] for i in range(3)]
+    length = jnp.sqrt(seen.sight_x**2 + seen.sight_y**2 + seen.sight_z**2)
     rays = tuple(ray / length for ray in rays)
 
     def chord2(one: tuple[Array, ...], other: tuple[Array, ...]) -> Array:
@@ -484,16 +476,16 @@ def _from_cameras(
     """What the cameras' own covariance adds to the points': both move so that the pixel error stays least."""
     places = jnp.stack(points, axis=-1)
 
-    def one(camera: Camera, weight: Float[Array, " B"]) -> Float[Array, "3 15 B"]:
-        def pixel(change: Float[Array, "15"]) -> Float[Array, "2 B"]:
+    def one(camera: Camera, weight: Float[Array, " B"]) -> Float[Array, "3 p B"]:
+        def pixel(change: Float[Array, " p"]) -> Float[Array, "2 B"]:
             return camera.perturbed(change).project(places).T
 
-        by_camera = jax.jacfwd(pixel)(jnp.zeros(PARAMETERS, dtype=places.dtype))  # (2, B, 15)
+        by_camera = jax.jacfwd(pixel)(jnp.zeros(camera.size, dtype=places.dtype))  # (2, B, p)
         by_point = [jax.jvp(camera.project, (places,), (jnp.stack(axis, axis=-1),))[1] for axis in _axes(points[0])]
         rows = [by[:, 0, None] * by_camera[0] + by[:, 1, None] * by_camera[1] for by in by_point]
         return jnp.where(weight[None, None] > 0, jnp.stack(rows).transpose(0, 2, 1), 0.0)
 
-    pull = jax.vmap(one)(cameras, seen.weight).transpose(3, 1, 0, 2)  # (B, 3, C, 15)
+    pull = jax.vmap(one)(cameras, seen.weight).transpose(3, 1, 0, 2)  # (B, 3, C, p)
     moved = jnp.einsum("bij,bjd->bid", symmetric_full(inverse), pull.reshape(*pull.shape[:2], -1))
     spread = (moved.reshape(-1, moved.shape[2]) @ camera_covariance).reshape(moved.shape)
     return jnp.einsum("bid,bjd->bij", spread, moved)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.expected import moved_by_cameras
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.camera.camera import PARAMETERS, Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -135,39 +134,11 @@ def _triangulated_lengths(
     variance = np.einsum("li,lij,lj->l", along, covariance[a] + covariance[b], along)
     if calibration.camera_covariance is not None:
         visible = clicks.visible[[clicks.names.index(name) for name in names]]
-        moved = _moved_by_cameras(calibration.rig, points, visible)
+        # Both ends of a length share the cameras' errors, so their covariances alone do not give the length's.
+        moved, _ = moved_by_cameras(calibration.rig, points, visible)
         change = np.einsum("li,lid->ld", along, moved[b] - moved[a])
         variance += np.einsum("ld,de,le->l", change, calibration.camera_covariance, change)
     return distance, np.sqrt(variance), valid[a] & valid[b]
-
-
-def _moved_by_cameras(
-    rig: CameraRig, points: Float[np.ndarray, "N 3"], visible: Bool[np.ndarray, "N C"]
-) -> Float[np.ndarray, "N 3 D"]:
-    """Derivative of triangulated points by the cameras' 15 C numbers: both move so that the pixel error stays least.
-
-    Both ends of a length share the cameras' errors, so their covariances alone do not give the length's.
-    """
-    with jax.enable_x64(True):
-        by_point, by_numbers = (np.asarray(part) for part in _projection_derivatives(rig, jnp.asarray(points)))
-    by_point = np.where(visible[:, :, None, None], by_point, 0.0)
-    normal = np.einsum("ncki,nckj->nij", by_point, by_point)
-    pull = np.einsum("ncki,nckp->nicp", by_point, by_numbers).reshape(len(points), 3, -1)
-    return -np.linalg.solve(normal, pull)
-
-
-@eqx.filter_jit
-def _projection_derivatives(
-    rig: CameraRig, points: Float[Array, "N 3"]
-) -> tuple[Float[Array, "N C 2 3"], Float[Array, "N C 2 15"]]:
-    """Derivatives of every point's pixels by the point and by the numbers of the camera."""
-
-    def one(camera: Camera, point: Float[Array, "3"]) -> tuple[Array, Array]:
-        zero = jnp.zeros(PARAMETERS, point.dtype)
-        by_numbers = jax.jacfwd(lambda change: camera.perturbed(change).project(point))(zero)
-        return jax.jacfwd(camera.project)(point), by_numbers
-
-    return jax.vmap(jax.vmap(one, in_axes=(0, None)), in_axes=(None, 0))(rig.cameras, points)
 
 
 def validate_held_out(rig: CameraRig, tracks: Tracks) -> HeldOutValidation:

@@ -10,9 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxpoint.calibration.bundle import CENTER, FOCAL, SIZE
 from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.simulate.rooms import Room, random_room
 from jaxpoint.tracks import Tracks
 
@@ -20,7 +21,7 @@ from jaxpoint.tracks import Tracks
 def true_state(room: Room, recording: Recording) -> RigState:
     """The true rig as the adjustment writes it."""
     size, count = len(recording.image_sizes), recording.cameras
-    numbers, base = np.zeros((size, SIZE)), np.tile(np.eye(3), (size, 1, 1))
+    numbers, base = np.zeros((size, size_of(Brown))), np.tile(np.eye(3), (size, 1, 1))
     base[:count] = room.rotation
     numbers[:count, 3:6] = room.translation
     numbers[:, FOCAL] = np.log(1000.0)

@@ -25,14 +25,16 @@ def room():
     """Four cameras on a ring about a cloud of points; every process makes all of it and takes its part."""
     rng = np.random.default_rng(0)
     base = Rotation.from_euler("y", np.arange(4)[:, None]).as_matrix()
-    cameras = np.zeros((4, bundle.SIZE))
+    cameras = np.zeros((4, bundle.size_of(Brown)))
     cameras[:, 5], cameras[:, bundle.FOCAL], cameras[:, bundle.CENTER] = 5.0, np.log(800.0), (640.0, 360.0)
     points = rng.uniform(-1.0, 1.0, (FRAMES, 3))
     local = np.einsum("cij,fj->fci", base, points) + cameras[:, 3:6]
     pixels = 800.0 * local[..., :2] / local[..., 2:] + cameras[:, bundle.CENTER] + rng.normal(0, 0.5, (FRAMES, 4, 2))
     seen = (rng.random((FRAMES, 4)) < 0.8).astype(float)
     seen[:, :2] = 1.0  # a point that one camera alone sees has no optimum
-    moved = cameras + np.where(np.arange(bundle.SIZE) < 6, rng.normal(0, 0.01, (4, bundle.SIZE)), 0.0)
+    moved = cameras + np.where(
+        np.arange(bundle.size_of(Brown)) < 6, rng.normal(0, 0.01, (4, bundle.size_of(Brown))), 0.0
+    )
     return moved, base, pixels, seen, points + rng.normal(0, 0.02, points.shape)
 
 
@@ -44,7 +46,7 @@ def main():
         bundle.to_blocks(pixels[own]),
         bundle.to_blocks(seen[own]),
         base,
-        np.ones((4, bundle.SIZE), bool),
+        np.ones((4, bundle.size_of(Brown)), bool),
         cameras,
         weight,
         np.array(bundle.LEAST_SQUARES),
@@ -53,7 +55,7 @@ def main():
     start = Unknowns(jnp.asarray(cameras), jnp.asarray(bundle.to_blocks(points[own])))
     mesh = parallel.device_mesh()
     start, problem = parallel.spread(mesh, start, jax.tree.map(jnp.asarray, problem))
-    end = parallel.solve_on(mesh, SchurLevenbergMarquardt(bundle.BrownModel(), rtol=1e-12), start, problem)
+    end = parallel.solve_on(mesh, SchurLevenbergMarquardt(bundle.CameraModel(), rtol=1e-12), start, problem)
     numbers = np.asarray(end.cameras)
     found = {
         "cost": float(end.cost),

@@ -334,7 +334,7 @@ def test_apply_alignment_maps_the_covariance():
         poses = jax.vmap(similarity.transform_camera)(moved.cam_from_world)
         turned = jnp.einsum("cij,ckj->cik", poses.rotation, room_cameras.cam_from_world.rotation)
         rotvec = jnp.stack([turned[:, 2, 1], turned[:, 0, 2], turned[:, 1, 0]], axis=1)  # to first order
-        lens = jnp.concatenate([moved.focal, moved.center, moved.distortion.coefficients], axis=1)
+        lens = jnp.concatenate([moved.focal, moved.center, moved.distortion], axis=1)
         return jnp.concatenate([rotvec, poses.translation, lens], axis=1).ravel()
 
     step = 1e-5

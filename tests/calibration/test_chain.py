@@ -9,11 +9,11 @@ import pytest
 
 from jaxpoint.calibration.alignment import align_to_landmarks
 from jaxpoint.calibration.assembly import rig_of
-from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.chain import Measured, chain_of
-from jaxpoint.calibration.hypotheses import known_numbers
 from jaxpoint.calibration.recording import Recording, RigState, adjust
 from jaxpoint.calibration.result import Verdict
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import FOCAL, adjusted_lenses, size_of
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.line import Ray, angle_between, distance_to_point
@@ -92,11 +92,11 @@ def test_it_is_what_the_pipeline_computes(seen, chain):
     """The same answer as from the adjustment, triangulation and alignment that users call one by one."""
     calibration, arm, visible, marks = seen
     recording = Recording.of(calibration.tracks)
-    start = RigState(*(np.zeros(shape) for shape in ((4, SIZE), (4, 3, 3), (len(recording.visible), 3))))
+    start = RigState(*(np.zeros(shape) for shape in ((4, size_of(Brown)), (4, 3, 3), (len(recording.visible), 3))))
     pose = calibration.rig.cameras.cam_from_world
     start.base[:], start.cameras[:, 3:6] = pose.rotation, pose.translation
     start.cameras[:, FOCAL:], start.points[: len(calibration.points)] = (
-        known_numbers(calibration.rig),
+        adjusted_lenses(calibration.rig),
         calibration.points,
     )
     freedom = calibration.freedom.at_noise(NOISE_PX)

@@ -56,7 +56,7 @@ def test_projection_is_opencvs_and_views_are_the_rooms(room, stated, places):
     assert seen.sum() <= 1.02 * expected.sum()
     for c, camera in enumerate(stated.rig):
         pose = camera.cam_from_world
-        lens = np.asarray(camera.distortion.coefficients)
+        lens = np.asarray(camera.distortion)
         turn = cv2.Rodrigues(np.asarray(pose.rotation))[0]
         there, _ = cv2.projectPoints(
             places[seen[:, c]], turn, np.asarray(pose.translation), np.asarray(camera.intrinsics), lens

@@ -8,12 +8,14 @@ import pytest
 from jax.flatten_util import ravel_pytree
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.bundle import LEAST_SQUARES, SIZE, BrownModel, to_blocks
+from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, to_blocks
 from jaxpoint.calibration.implicit import optimum
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import size_of
 from jaxpoint.compilation import jit_once
 
-MODEL = BrownModel()
+MODEL = CameraModel()
 SOLVER = SchurLevenbergMarquardt(MODEL, rtol=1e-16, xtol=1e-12)
 NOISE_PX = 2.0
 blocks_of_residuals = jax.vmap(MODEL._block_residuals, in_axes=(None, 0, 0))
@@ -24,7 +26,7 @@ def problem_of(scale, *, cameras=4, frames=40, block=20, seed=3):
     """Few frames with much noise, some hidden; two camera parameters held, one point seen by nobody."""
     rng = np.random.default_rng(seed)
     base = Rotation.from_euler("y", np.linspace(-0.5, 0.5, cameras)[:, None]).as_matrix()
-    numbers = np.zeros((cameras, SIZE))
+    numbers = np.zeros((cameras, size_of(Brown)))
     numbers[:, 3:6] = rng.uniform([-0.5, -0.5, 4.5], [0.5, 0.5, 5.5], (cameras, 3))
     numbers[:, 6], numbers[:, 8:10], numbers[:, 10] = np.log(800.0), (640.0, 360.0), -0.1
     points = rng.uniform(-1.0, 1.0, (frames, 3))
@@ -33,7 +35,7 @@ def problem_of(scale, *, cameras=4, frames=40, block=20, seed=3):
     weights[:, :2] = 1.0
     weights[-1] = 0.0
     sigma = [*6 * [0.05], 0.03, 0.01, 5, 5, 0.05, 0.05, 0.005, 0.005, 0.005]
-    free = np.ones((cameras, SIZE), bool)
+    free = np.ones((cameras, size_of(Brown)), bool)
     free[0, :2] = False
     state = MODEL.state(start.cameras, jnp.asarray(base))
     noise = rng.normal(0.0, NOISE_PX, (frames, cameras, 2))

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.bundle import SIZE, BrownModel, from_blocks, padded_frames, to_blocks
+from jaxpoint.calibration.bundle import CameraModel, from_blocks, padded_frames, to_blocks
 from jaxpoint.calibration.offset_model import OffsetModel
 from jaxpoint.calibration.projective import ProjectiveModel
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import size_of
 
 STEP = 1e-6
 
@@ -16,13 +18,13 @@ STEP = 1e-6
 def brown(turn, lens):
     """Two cameras turned by a rotation vector from their base, and where they see three points."""
     base = Rotation.from_euler("xyz", [[0.1, 0.2, 0.3], [0.0, -0.4, 0.1]]).as_matrix()
-    cameras = np.zeros((2, SIZE))
+    cameras = np.zeros((2, size_of(Brown)))
     cameras[:, :3] = turn
     cameras[:, 3:6] = [[0.1, -0.2, 5.0], [0.3, 0.1, 4.0]]
     cameras[:, 6:] = [np.log(900.0), 0.01, 630.0, 350.0, *lens]
     back = np.linalg.inv(Rotation.from_rotvec(cameras[:, :3]).as_matrix() @ base)  # points stay before the cameras
     points = back[0] @ np.array([[0.5, -0.5, 0.2], [0.3, 0.4, -0.6], [0.1, 0.9, -0.5]]).T
-    return BrownModel(), cameras, base, points, 640.0 + np.zeros((2, 2, 3))
+    return CameraModel(), cameras, base, points, 640.0 + np.zeros((2, 2, 3))
 
 
 def projective(lens, object_space):

@@ -82,7 +82,7 @@ def test_arctic4_is_better_than_published(data_folder, arctic):
     assert arctic.errors[arctic.kept].mean() <= 0.21
     assert (inlier & arctic.point_valid[:, None]).sum() >= 1430
     assert arctic.errors[inlier].mean() <= 0.23
-    k1 = np.asarray(arctic.rig.cameras.distortion.coefficients)[:, 0]
+    k1 = np.asarray(arctic.rig.cameras.distortion)[:, 0]
     assert ((k1 > -0.4) & (k1 < -0.1)).all()
 
 
@@ -146,7 +146,7 @@ def test_arctic4_is_at_the_optimum_that_scipy_finds(data_folder, distortion, off
     cameras[:, 3:6] = found.rig.cameras.cam_from_world.translation
     cameras[:, 6] = np.log(np.asarray(found.rig.cameras.focal)[:, 1])
     cameras[:, 7:9] = found.rig.cameras.center
-    cameras[:, 9:] = found.rig.cameras.distortion.coefficients
+    cameras[:, 9:] = found.rig.cameras.distortion
     ours = np.concatenate([cameras[:, free].ravel(), found.points[used].ravel()])
     cost, focal = (residuals(ours) ** 2).sum(), cameras[:, 6].copy()
 

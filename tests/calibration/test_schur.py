@@ -11,7 +11,7 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.bundle import LEAST_SQUARES, BrownModel, to_blocks
+from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, to_blocks
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.schur import (
     AbstractModel,
@@ -174,7 +174,7 @@ def dense_problem(frames=8, step_limit=100, scale=LEAST_SQUARES):
     return problem, Unknowns(jnp.asarray(cameras), jnp.asarray(to_blocks(begin, frames)))
 
 
-MODEL = BrownModel()
+MODEL = CameraModel()
 STRUCTURED = SchurLevenbergMarquardt(MODEL, rtol=1e-12)
 
 
@@ -292,6 +292,6 @@ def test_parameters_left_out_end_as_those_held():
     free[:, held] = False
     problem = eqx.tree_at(lambda p: p.free, problem, jnp.asarray(free))
     whole = run(STRUCTURED, start, problem, 200)
-    small = run(SchurLevenbergMarquardt(BrownModel(held=held), rtol=1e-12), start, problem, 200)
+    small = run(SchurLevenbergMarquardt(CameraModel(held=held), rtol=1e-12), start, problem, 200)
     np.testing.assert_allclose(small.value.cameras, whole.value.cameras, atol=1e-9)
     np.testing.assert_allclose(small.stats["cost"], whole.stats["cost"], rtol=1e-12)

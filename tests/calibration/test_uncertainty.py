@@ -15,9 +15,10 @@ import uncertainty_coverage as coverage
 from jaxpoint.calibration import propagation as prop
 from jaxpoint.calibration import uncertainty as unc
 from jaxpoint.calibration.alignment import Alignment, align_to_landmarks, apply_alignment, umeyama
-from jaxpoint.calibration.bundle import SIZE
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.selfcal import calibrate
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import size_of
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -44,7 +45,7 @@ def rig_from_numbers(rig: CameraRig, numbers):
                        cameras.focal[:, 1] * jnp.exp(numbers[:, 6])], axis=1)  # fmt: skip
     turned = jax.vmap(so3.exp)(numbers[:, :3]) @ cameras.cam_from_world.rotation
     shifted = cameras.cam_from_world.translation + numbers[:, 3:6]
-    lens = cameras.distortion.coefficients + numbers[:, 10:]
+    lens = cameras.distortion + numbers[:, 10:]
     return CameraRig.from_parameters(focal, cameras.center + numbers[:, 8:10], lens, turned, shifted, rig.image_sizes)
 
 
@@ -52,14 +53,14 @@ def dense_covariance(calibration):
     """The pseudo-inverse of the whole of J^T J, its null space, and the derivative of all centres and points."""
     rig, kept, freedom = calibration.rig, calibration.kept, calibration.freedom
     cameras, frames = len(rig), len(calibration.points)
-    size = SIZE * cameras
+    size = size_of(Brown) * cameras
 
     def pixels(unknown):
-        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, SIZE))
+        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, size_of(Brown)))
         return moved.project(calibration.points + unknown[size:].reshape(frames, 3))[kept].ravel()
 
     def lengths(unknown):
-        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, SIZE))
+        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, size_of(Brown)))
         return jnp.concatenate([moved.positions.ravel(), unknown[size:]])
 
     zero = jnp.zeros(size + 3 * frames)
@@ -91,7 +92,7 @@ def in_perturbed(covariance, rig):
     """From log focal and log aspect to fx and fy."""
     jacobian = np.eye(len(covariance))
     for camera, (fx, fy) in enumerate(np.asarray(rig.cameras.focal)):
-        at = SIZE * camera + 6
+        at = size_of(Brown) * camera + 6
         jacobian[at : at + 2, at : at + 2] = [[fx, fx], [fy, 0.0]]
     return jacobian @ covariance @ jacobian.T
 
@@ -129,7 +130,7 @@ def test_landmarks_against_derivatives_of_the_alignment_itself(tiny, kind):
     sigmas = np.linspace(0.003, 0.008, 6)
 
     def aligned_centres(unknown, measured, clicks):
-        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, SIZE))
+        moved = rig_from_numbers(rig, unknown[:size].reshape(cameras, size_of(Brown)))
         points = (tiny.calibration.points + unknown[size:].reshape(-1, 3))[lit]
         seen = triangulate(moved, pixels + clicks, visible).points if clicked else None
         source = seen if clicked else jnp.concatenate([moved.positions, points])
@@ -289,7 +290,7 @@ def test_a_calibration_brings_what_its_uncertainty_needs(noisy):
     """The whole pipeline: what was free is remembered, and stays through the alignment."""
     found = calibrate(noisy.room.tracks)
     assert isinstance(found.freedom, Freedom)
-    assert found.freedom.free.shape == (4, SIZE)
+    assert found.freedom.free.shape == (4, size_of(Brown))
     assert found.loss_scale == pytest.approx(2 * found.sigma_px)
     names = noisy.room.tracks.names
     measured = noisy.room.positions + np.random.default_rng(0).normal(0, MEASURED_M, (4, 3))

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.distortion import Brown, NoDistortion
+from jaxpoint.camera.pinhole import Pinhole
 from jaxpoint.camera.remap import undistortion_map
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.geometry.line import distance_to_point
@@ -21,7 +22,7 @@ ROTVEC, TRANSLATION = np.array([0.3, -0.7, 0.4]), np.array([0.2, -0.1, 4.0])
 FOCAL, CENTER = np.array([900.0, 880.0]), np.array([650.3, 370.8])
 INTRINSICS = np.array([[FOCAL[0], 0, CENTER[0]], [0, FOCAL[1], CENTER[1]], [0, 0, 1]])
 ROTATION = Rotation.from_rotvec(ROTVEC).as_matrix()
-CAMERA = Camera(FOCAL, CENTER, Brown(LENS), Pose(ROTATION, TRANSLATION))
+CAMERA = Camera(Brown.of(FOCAL, CENTER, LENS), Pose(ROTATION, TRANSLATION))
 POINTS = RNG.uniform(-1.5, 1.5, (40, 3))
 PROJECT, DEPTH, UNDISTORT, RAY = (jax.jit(f) for f in (Camera.project, Camera.depth, Camera.undistort, Camera.ray))
 
@@ -68,9 +69,9 @@ def test_derivatives_by_all_numbers_are_opencvs():
     np.testing.assert_allclose(ours, theirs[..., :15], rtol=1e-9, atol=1e-7)
 
 
-def test_perturbed_needs_a_brown_lens():
-    pinhole = Camera(FOCAL, CENTER, NoDistortion(), CAMERA.cam_from_world)
-    with pytest.raises(ValueError, match="NoDistortion"):
+def test_a_pinhole_has_ten_parameters():
+    pinhole = Camera(Pinhole.of(FOCAL, CENTER), CAMERA.cam_from_world)
+    with pytest.raises(ValueError, match="10 parameters"):
         pinhole.perturbed(np.zeros(15))
     np.testing.assert_allclose(
         pinhole.project(POINTS), cv2.projectPoints(POINTS, ROTVEC, TRANSLATION, INTRINSICS, None)[0][:, 0], atol=1e-9
@@ -176,7 +177,9 @@ def test_rig_says_what_is_wrong():
 
 
 def test_float32_rig_stays_float32():
-    parameters = [np.asarray(leaf, dtype=np.float32) for leaf in jax.tree.leaves(random_rig().cameras)]
+    cameras = random_rig().cameras
+    parts = (cameras.focal, cameras.center, cameras.distortion, *jax.tree.leaves(cameras.cam_from_world))
+    parameters = [np.asarray(leaf, dtype=np.float32) for leaf in parts]
     rig = CameraRig.from_parameters(*parameters, random_rig().image_sizes)
     assert rig.names == ("cam_0", "cam_1", "cam_2")
     pixels = rig.project(POINTS.astype(np.float32))

@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.distortion import Brown
 from jaxpoint.camera.resection import decompose_projection, projection_from_points, resect
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Pose
@@ -17,7 +17,7 @@ RNG = np.random.default_rng(0)
 ROTVEC, TRANSLATION = np.array([1.9, -0.6, 0.4]), np.array([0.2, -0.4, 5.0])
 ROTATION = Rotation.from_rotvec(ROTVEC).as_matrix()
 LENS = np.array([-0.2, 0.05, 5e-4, -1e-3, 0.01])
-PINHOLE = Camera([900.0, 880.0], [650.0, 370.0], Brown(np.zeros(5)), Pose(ROTATION, TRANSLATION))
+PINHOLE = Camera(Brown.of(np.array([900.0, 880.0]), np.array([650.0, 370.0])), Pose(ROTATION, TRANSLATION))
 POINTS = RNG.uniform(-1.5, 1.5, (60, 3))
 SEEN = jax.jit(Camera.project)
 DECOMPOSE, PROJECTION = jax.jit(decompose_projection), jax.jit(projection_from_points)
@@ -32,11 +32,11 @@ def test_six_points_without_noise_give_the_camera():
 
 
 def test_distorted_camera_is_found_to_rounding():
-    camera = Camera(PINHOLE.focal, PINHOLE.center, Brown(LENS), PINHOLE.cam_from_world)
+    camera = Camera(Brown.of(PINHOLE.focal, PINHOLE.center, LENS), PINHOLE.cam_from_world)
     result = resect(POINTS, SEEN(camera, POINTS), lens_terms=5)
     assert result.converged
     assert result.rms_px < 1e-9
-    np.testing.assert_allclose(result.camera.distortion.coefficients, LENS, atol=1e-9)
+    np.testing.assert_allclose(result.camera.distortion, LENS, atol=1e-9)
     np.testing.assert_allclose(result.camera.focal, camera.focal, rtol=1e-9)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import cv2
 import jax
@@ -10,9 +11,12 @@ import pytest
 import tomli_w
 
 from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.camera import POSE_NAMES, Camera
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.camera.rational import Rational
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import (
-    CAMERA_PARAMETERS,
     read_calibration,
     read_calibration_json,
     read_calibration_toml,
@@ -22,6 +26,8 @@ from jaxpoint.io.calibration import (
 from jaxpoint.simulate.rooms import random_room
 
 ROOM = random_room(3, cameras=11)
+
+PARAMETER_NAMES = (*POSE_NAMES, *Brown.parameter_names())
 
 
 def assert_same_rig(first, second, atol):
@@ -33,7 +39,7 @@ def assert_same_rig(first, second, atol):
 
 def test_json_round_trip_is_exact(tmp_path):
     path = tmp_path / "calibration.json"
-    size = len(CAMERA_PARAMETERS) * 11
+    size = len(PARAMETER_NAMES) * 11
     covariance = np.random.default_rng(0).normal(size=(size, size))
     provenance = {"seed": 3, "versions": {"jax": "0.10"}, "inputs": [], "note": "Raum ü"}
     write_calibration_json(path, ROOM.rig, unit="arbitrary", covariance=covariance, provenance=provenance)
@@ -134,7 +140,7 @@ def test_toml_of_other_programs(tmp_path):
     saved = read_calibration(path)
     assert saved.rig.names == ("front",)
     assert np.asarray(saved.rig.image_sizes).tolist() == [[1088, 1920]]
-    assert np.asarray(saved.rig.cameras.distortion.coefficients)[0].tolist() == [-0.046, 0.13, 0.0, 0.001, 0.0]
+    assert np.asarray(saved.rig.cameras.distortion)[0].tolist() == [-0.046, 0.13, 0.0, 0.001, 0.0]
 
 
 def broken(content, path, value):
@@ -168,7 +174,7 @@ def broken(content, path, value):
         (["cameras", 1, "name"], "cam_0", "with different names"),
         (["cameras"], [], "one or more with different names"),
         (["covariance"], {"parameters": ["fx"], "matrix": [[1.0]]}, r"`\$\.covariance\.parameters` must be rotation_x"),
-        (["covariance"], {"parameters": list(CAMERA_PARAMETERS), "matrix": [[1.0]]}, "must be 165 x 165 for 11"),
+        (["covariance"], {"parameters": list(PARAMETER_NAMES), "matrix": [[1.0]]}, "must be 165 x 165 for 11"),
     ],
 )
 def test_wrong_json_names_the_field(tmp_path, path, value, message):
@@ -188,8 +194,8 @@ def test_wrong_json_names_the_field(tmp_path, path, value, message):
         (["cam_1", "translation"], "far", r"\[cam_1\]: 'translation' must hold numbers"),
         (["cam_1", "translation"], [0.0, 0.0, float("inf")], r"\[cam_1\]: 'translation' must be .* finite"),
         (["cam_1", "distortions"], [0.0] * 7, r"\[cam_1\]: the distortion must be 4 or 5 finite numbers"),
-        (["cam_1", "distortions"], [0.1] * 8, r"\[cam_1\]: the lens has 8 coefficients, as OpenCV's rational model"),
-        (["cam_1", "fisheye"], True, r"\[cam_1\]: a fish-eye lens cannot be read"),
+        (["cam_1", "distortions"], [0.1] * 12, r"\[cam_1\]: the lens has 12 coefficients, with a thin prism"),
+        (["cam_1", "fisheye"], True, r"\[cam_1\]: a kannala_brandt lens has 4 coefficients \(k1, .*\), not 5"),
     ],
 )
 def test_wrong_toml_names_the_section(tmp_path, path, value, message):
@@ -231,3 +237,33 @@ def test_reading_keeps_float64_without_the_global_switch(tmp_path):
     with jax.enable_x64(False):
         rig = read_calibration(tmp_path).rig
     assert_same_rig(rig, ROOM.rig, 0)
+
+
+@pytest.mark.parametrize("lens", [Brown, Rational, KannalaBrandt])
+def test_lenses_of_all_models_are_kept(tmp_path, lens):
+    plain = ROOM.rig.cameras
+    distortion = 0.01 * np.arange(1.0, 1.0 + 11 * len(lens.coefficients)).reshape(11, -1)
+    rig = replace(ROOM.rig, cameras=Camera(lens.of(plain.focal, plain.center, distortion), plain.cam_from_world))
+    size = rig.camera_size * 11
+    write_calibration_json(tmp_path / "calibration.json", rig, covariance=np.eye(size), gauge="free")
+    write_calibration_toml(tmp_path / "calibration.toml", rig)
+    for name in ("calibration.json", "calibration.toml"):
+        saved = read_calibration(tmp_path / name)
+        assert type(saved.rig.cameras.lens) is lens
+        np.testing.assert_allclose(saved.rig.cameras.lens.parameters, rig.cameras.lens.parameters, rtol=1e-15)
+    assert read_calibration(tmp_path / "calibration.json").covariance.shape == (size, size)
+
+
+def test_models_that_differ_become_one_where_one_has_both(tmp_path):
+    file = tmp_path / "calibration.toml"
+    write_calibration_toml(file, ROOM.rig)
+    content = tomllib.loads(file.read_text())
+    content["cam_1"]["distortions"] = [0.1, 0.02, 0.0, 0.0, 0.01, 0.3, 0.04, 0.02]
+    file.write_text(tomli_w.dumps(content))
+    rig = read_calibration(file).rig
+    assert type(rig.cameras.lens) is Rational
+    np.testing.assert_allclose(rig.project(ROOM.points[:20])[:, 0], ROOM.rig.project(ROOM.points[:20])[:, 0], atol=1e-9)
+    content["cam_1"] |= {"fisheye": True, "distortions": [0.1, 0.0, 0.0, 0.0]}
+    file.write_text(tomli_w.dumps(content))
+    with pytest.raises(FileFormatError, match=r"mixes lens models .*\(brown, kannala_brandt\); calibrate all"):
+        read_calibration(file)

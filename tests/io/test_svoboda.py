@@ -113,7 +113,7 @@ def test_arctic_counts_and_lens(data_folder):
     rig = read_rad_folder(folder, tracks.image_sizes, tracks.names, one_based=True)
     np.testing.assert_allclose(np.asarray(rig.cameras.focal)[:, 0], [919.9, 711.6, 779.9, 855.5], atol=0.06)
     np.testing.assert_allclose(np.asarray(rig.cameras.center), [[318.5, 238.5]] * 4)
-    coefficients = np.asarray(rig.cameras.distortion.coefficients)
+    coefficients = np.asarray(rig.cameras.distortion)
     np.testing.assert_allclose(coefficients[:, 0], [-0.2388, -0.1788, -0.0252, 0.2142], atol=1e-4)
     assert (coefficients[:, 1:] == 0).all()
 

@@ -43,7 +43,7 @@ def held_joints(
         rig: the cameras, m.
         following: the arms.
         holds: G of them, one or more.
-        camera_covariance: of the cameras' D = 15 C numbers in the order of `Camera.perturbed`.
+        camera_covariance: of the cameras' D = p C parameters in the order of `Camera.perturbed`.
     """
     with jax.enable_x64(True):
         mean, covariance, weights = _held(*frames_of(following, holds))

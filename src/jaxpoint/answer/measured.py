@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.answer.holds import Hold
-from jaxpoint.camera.camera import PARAMETERS, Camera
+from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import CPU_OPTIONS, jit
 from jaxpoint.detect.arm import SLICES
@@ -61,13 +61,13 @@ def arm_numbers(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12"]:
 
 @partial(jit, options=_OPTIONS)
 def by_calibration(rig: CameraRig, seen: ArmPixels) -> Float[Array, "12 D"]:
-    """How `arm_numbers` changes with the cameras' D = 15 C numbers, in the order of `Camera.perturbed`."""
+    """How `arm_numbers` changes with the cameras' D = p C parameters, in the order of `Camera.perturbed`."""
 
     def moved(changes: Array) -> Array:
-        cameras = jax.vmap(Camera.perturbed)(rig.cameras, changes.reshape(-1, PARAMETERS))
+        cameras = jax.vmap(Camera.perturbed)(rig.cameras, changes.reshape(len(rig), -1))
         return arm_numbers(CameraRig(cameras, rig.image_sizes, rig.names, rig.reach), seen)
 
-    return jax.jacrev(moved)(jnp.zeros(len(rig) * PARAMETERS, rig.cameras.focal.dtype))
+    return jax.jacrev(moved)(jnp.zeros(len(rig) * rig.camera_size, rig.cameras.focal.dtype))
 
 
 def frames_of(

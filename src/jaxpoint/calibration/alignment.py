@@ -17,7 +17,6 @@ from jaxtyping import Array, Float
 
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.upright import Stand, check_centres, check_upright
-from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry import rotation as so3
@@ -236,14 +235,14 @@ def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibrati
     """The calibration in the room: P' = P S^-1, points S X, unit m; every pixel stays where it was.
 
     The covariance of the cameras is mapped along, the alignment taken as exact; one that is not in the order of
-    `Camera.perturbed` (15 numbers a camera) is dropped, with a warning in the alignment.
+    `Camera.perturbed` is dropped, with a warning in the alignment.
     """
     similarity, covariance = alignment.similarity, calibration.camera_covariance
     with jax.enable_x64(True):
         rig = calibration.rig.transformed(similarity)
         points = np.asarray(similarity @ np.asarray(calibration.points, np.float64))
         if covariance is not None:
-            size = PARAMETERS * len(rig)
+            size = rig.camera_size * len(rig)
             if covariance.shape == (size, size):
                 covariance = transformed_covariance(covariance, rig, similarity)
             else:
@@ -264,9 +263,10 @@ def transformed_covariance(
 ) -> Float[np.ndarray, "D D"]:
     """With R = exp(w) R0 the room's t' = s t - exp(w) R0' t_S changes by s dt + [R0' t_S]x w; w and the lens stay."""
     rotations = np.asarray(aligned.cameras.cam_from_world.rotation)
-    jacobian = np.zeros((len(rotations), PARAMETERS, len(rotations), PARAMETERS))
+    size = aligned.camera_size
+    jacobian = np.zeros((len(rotations), size, len(rotations), size))
     for camera, rotation in enumerate(rotations):
-        block = np.eye(PARAMETERS)
+        block = np.eye(size)
         block[3:6, 3:6] *= float(similarity.scale)
         block[3:6, :3] = np.asarray(so3.skew(rotation @ np.asarray(similarity.translation)))
         jacobian[camera, :, camera] = block

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from jaxpoint.calibration.bundle import FOCAL
 from jaxpoint.calibration.outliers import Settled
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Calibration, PairTable, Verdict
+from jaxpoint.camera.parameters import rig_of_parameters
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
@@ -74,20 +76,12 @@ def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
     length = np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean())
     numbers = state.cameras.copy()
     numbers[:, 3:6] = (numbers[:, 3:6] + np.einsum("cij,j->ci", state.rotation, middle)) / length
-    return RigState(numbers, state.base, (state.points - middle) / length)
+    return replace(state, cameras=numbers, points=(state.points - middle) / length)
 
 
 def rig_of(state: RigState, tracks: Tracks) -> CameraRig:
     """The solved cameras as a `CameraRig`."""
     count = tracks.cameras
-    numbers = state.cameras[:count]
-    focal = np.exp(numbers[:, FOCAL])
-    return CameraRig.from_parameters(
-        np.stack([focal * np.exp(numbers[:, 7]), focal], axis=1),
-        numbers[:, 8:10],
-        numbers[:, 10:15],
-        state.rotation[:count],
-        numbers[:, 3:6],
-        tracks.image_sizes,
-        tracks.names,
+    return rig_of_parameters(
+        state.cameras[:count], state.rotation[:count], tracks.image_sizes, tracks.names, state.lens
     )

@@ -15,18 +15,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Shaped
 
 from jaxpoint.calibration.alignment import umeyama
-from jaxpoint.calibration.bundle import BLOCK, CENTER, FOCAL, LEAST_SQUARES, RADIAL, SIZE, BrownModel
-from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.bundle import BLOCK, LEAST_SQUARES, CameraModel
 from jaxpoint.calibration.implicit import optimum
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.parameters import adjusted_cameras, rig_of_parameters, rotations_of
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.geometry import rotation
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.triangulation import triangulate
 
-SOLVER = SchurLevenbergMarquardt(model=BrownModel(), rtol=1e-12, xtol=1e-8)
+RTOL, XTOL = 1e-12, 1e-8
 STEPS = 200
 POINT_STEPS = 20  # of a triangulated point, at most
 LANDMARKS = 3  # hold a frame
@@ -37,8 +37,8 @@ class Measured(eqx.Module):
 
     light: Float[Array, "F C 2"]  # px
     weights: Float[Array, "F C"]  # of the light's pixels: 1 where believed, 0 where not
-    prior_mean: Float[Array, "C 15"]  # of the cameras' numbers, in the order of `bundle`
-    prior_weight: Float[Array, "C 15"]  # px^2 per unit^2
+    prior_mean: Float[Array, "C p"]  # of the cameras, see `camera.parameters`
+    prior_weight: Float[Array, "C p"]  # px^2 per unit^2
     landmarks: Float[Array, "L 3"]  # m, in the room
     clicks: Float[Array, "L C 2"]  # px, on the landmarks
     pixels: Float[Array, "N C 2"]  # px, of the points that are asked for
@@ -49,13 +49,14 @@ class Chain(eqx.Module):
 
     start: Unknowns  # rotation vectors about `base`; where the solve begins does not matter
     base: Float[Array, "C 3 3"]
-    free: Bool[Array, "C 15"]
+    free: Bool[Array, "C p"]
     loss_scale: Float[Array, ""]  # px
     landmark_weights: Float[Array, " L"]
     clicked: Bool[Array, "L C"]
     visible: Bool[Array, "N C"]
     image_sizes: tuple[tuple[int, int], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+    lens: type[AbstractLens] = eqx.field(static=True)
 
     def points(self, measured: Measured) -> Float[Array, "N 3"]:
         """The points in the room, m; without landmarks in the solver's own frame and unit.
@@ -98,14 +99,12 @@ class Chain(eqx.Module):
             self.loss_scale,
             jnp.asarray(STEPS),
         )
-        return self._rig_of(optimum(SOLVER, self.start, problem).cameras)
+        solver = SchurLevenbergMarquardt(CameraModel(self.lens), rtol=RTOL, xtol=XTOL)
+        return self._rig_of(optimum(solver, self.start, problem).cameras)
 
-    def _rig_of(self, numbers: Float[Array, "C 15"]) -> CameraRig:
-        turned = jax.vmap(lambda vector, base: rotation.exp(vector) @ base)(numbers[:, :3], self.base)
-        focal = jnp.exp(numbers[:, FOCAL])
-        focal = jnp.stack([focal * jnp.exp(numbers[:, FOCAL + 1]), focal], axis=1)
-        lens = numbers[:, CENTER], numbers[:, RADIAL.start :]
-        return CameraRig.from_parameters(focal, *lens, turned, numbers[:, 3:6], np.array(self.image_sizes), self.names)
+    def _rig_of(self, cameras: Float[Array, "C p"]) -> CameraRig:
+        turned = rotations_of(cameras, self.base)
+        return rig_of_parameters(cameras, turned, np.array(self.image_sizes), self.names, self.lens)
 
 
 def chain_of(
@@ -160,12 +159,10 @@ def chain_of(
 def _chain(calibration: Calibration, weights, clicked, visible) -> Chain:
     rig, freedom = calibration.rig, calibration.freedom
     assert freedom is not None
-    numbers = np.zeros((len(rig), SIZE))
-    numbers[:, 3:6], numbers[:, FOCAL:] = rig.cameras.cam_from_world.translation, known_numbers(rig)
     points = jnp.asarray(calibration.points, float)
     scale = LEAST_SQUARES if calibration.loss_scale is None else calibration.loss_scale
     return Chain(
-        Unknowns(jnp.asarray(numbers), _in_blocks(points, min(BLOCK, len(points)))),
+        Unknowns(jnp.asarray(adjusted_cameras(rig)), _in_blocks(points, min(BLOCK, len(points)))),
         jnp.asarray(rig.cameras.cam_from_world.rotation),
         jnp.asarray(freedom.free),
         jnp.asarray(scale, float),
@@ -174,6 +171,7 @@ def _chain(calibration: Calibration, weights, clicked, visible) -> Chain:
         jnp.asarray(visible),
         tuple((int(width), int(height)) for width, height in np.asarray(rig.image_sizes)),
         rig.names,
+        type(rig.cameras.lens),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import jax
@@ -10,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxpoint.calibration.recording import Recording, RigState
-from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.parameters import FOCAL, lens_parameters
 from jaxpoint.compilation import jit
 
 MAX_PAIRS = 128  # of a large rig, this many pairs are tried
@@ -32,7 +34,7 @@ def consensus(recording: Recording, state: RigState, threshold: float) -> Consen
     """Triangulate every frame from every pair of views and keep the point with which most views agree (px)."""
     pairs = _pairs(recording)
     points, agree, placed, ambiguous = _search(
-        recording.pixels, recording.visible, state.rotation, state.cameras, pairs, np.float64(threshold)
+        state.lens, recording.pixels, recording.visible, state.rotation, state.cameras, pairs, np.float64(threshold)
     )
     return Consensus(np.asarray(points), np.asarray(agree), np.asarray(placed), np.asarray(ambiguous))
 
@@ -47,26 +49,19 @@ def _pairs(recording: Recording) -> np.ndarray:
     return np.array(pairs + [pairs[0]] * missing)
 
 
-@jit
-def _search(pixels, visible, rotation, cameras, pairs, threshold):
-    focal = jnp.stack([jnp.exp(cameras[:, 6] + cameras[:, 7]), jnp.exp(cameras[:, 6])], axis=1)
-    plane = (pixels - cameras[None, :, 8:10]) / focal[None]
-
-    def straight(coefficients, points):
-        return jax.vmap(Brown(coefficients).undistort)(points)
-
-    plane, valid = jax.vmap(straight, in_axes=(0, 1), out_axes=1)(cameras[:, 10:15], plane)
-    rays = jnp.concatenate([plane, jnp.ones_like(plane[..., :1])], axis=-1)
+@partial(jit, static_argnums=0)
+def _search(lens: type[AbstractLens], pixels, visible, rotation, cameras, pairs, threshold):
+    parameters = jnp.stack(lens_parameters(list(cameras[:, FOCAL:].T)))  # (q, D)
+    rays, valid = _rays(lens, parameters, pixels)
     rays = (rays[:, :, :, None] * rotation[None]).sum(axis=2)
-    rays = rays / jnp.linalg.norm(rays, axis=-1, keepdims=True)
     centers = -(rotation * cameras[:, 3:6, None]).sum(axis=1)
 
     def attempt(best, pair):
         first, second = pair[0], pair[1]
         point, good = _midpoint(centers[first], rays[:, first], centers[second], rays[:, second])
         good = good & visible[:, first] & visible[:, second] & valid[:, first] & valid[:, second]
-        error, depth = _errors(rotation, cameras, focal, point, pixels)
-        agree = visible & (error < threshold) & (depth > 0) & good[:, None]
+        error, seen = _errors(lens, parameters, rotation, cameras, point, pixels)
+        agree = visible & (error < threshold) & seen & good[:, None]
         count = agree.sum(axis=1)
         cost = jnp.where(visible, jnp.minimum(error, FAR * threshold), 0.0).sum(axis=1)
         cost = jnp.where(good, cost, jnp.inf)
@@ -112,16 +107,19 @@ def _midpoint(origin_a, rays_a, origin_b, rays_b):
     return point, good & (reach_a > 0) & (reach_b > 0)
 
 
-def _errors(rotation, cameras, focal, points, pixels):
-    """Reprojection errors (N, D) px and depths (N, D)."""
+def _rays(lens: type[AbstractLens], parameters, pixels):
+    """Unit directions (N, D, 3) in the cameras, and whether the lenses have them (N, D)."""
+
+    def one(own, seen):
+        return lens(own).unproject(seen)  # pyright: ignore[reportCallIssue]
+
+    return jax.vmap(one, in_axes=(1, 1), out_axes=1)(parameters, pixels)
+
+
+def _errors(lens: type[AbstractLens], parameters, rotation, cameras, points, pixels):
+    """Reprojection errors (N, D) px, and whether the points lie where the cameras may see them (N, D)."""
     local = (rotation[None] * points[:, None, None, :]).sum(axis=3) + cameras[None, :, 3:6]
-    depth = local[..., 2]
-    plane = local[..., :2] / jnp.where(jnp.abs(depth) < 1e-9, 1e-9, depth)[..., None]
-    plane = jnp.clip(plane, -3.0, 3.0)
-
-    def bent(coefficients, points):
-        return jax.vmap(Brown(coefficients).distort)(points)
-
-    bent_plane = jax.vmap(bent, in_axes=(0, 1), out_axes=1)(cameras[:, 10:15], plane)
-    projected = bent_plane * focal[None] + cameras[None, :, 8:10]
-    return jnp.linalg.norm(projected - pixels, axis=-1), depth
+    direction = tuple(local[..., i] for i in range(3))
+    x, y = lens.slopes_of([own[None] for own in parameters], direction, wild=True).pixel
+    error = jnp.sqrt((x - pixels[..., 0]) ** 2 + (y - pixels[..., 1]) ** 2)
+    return error, jnp.ones_like(x, bool) if lens.sees_sideways else local[..., 2] > 0

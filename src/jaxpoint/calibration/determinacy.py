@@ -13,13 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.bundle import ASPECT, FOCAL
 from jaxpoint.calibration.expected import expected_error
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Finding, Level
 from jaxpoint.calibration.sight import centres, poses
 from jaxpoint.calibration.uncertainty import uncertainty_of
-from jaxpoint.camera.camera import PARAMETERS
+from jaxpoint.camera.parameters import ASPECT, FOCAL
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import InsufficientDataError
 
@@ -59,7 +58,7 @@ def determinacy_of(calibration: Calibration) -> Determinacy | None:
     chosen = points[np.linspace(0, len(points) - 1, min(POINTS, len(points))).astype(int)]
     found = expected_error(calibration.rig, covariance, calibration.sigma_px, chosen)
     known = found.calibration[found.seen.sum(axis=1) >= 2]
-    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(-1, PARAMETERS)[:, FOCAL]
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(len(calibration.rig), -1)[:, FOCAL]
     spread = np.median(np.linalg.norm(points - np.median(points, axis=0), axis=1))
     expected = float(np.sqrt(max(np.median(known), 0.0))) if len(known) else float("inf")
     return Determinacy(sigmas / np.asarray(calibration.rig.cameras.focal)[:, 0], expected, float(spread))

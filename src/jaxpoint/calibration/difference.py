@@ -28,9 +28,8 @@ from jaxpoint.calibration.expected import moved_by_cameras, parallax
 from jaxpoint.calibration.middle import far_middle, near, rig_about
 from jaxpoint.calibration.sight import centres, derivatives_perturbed, in_view, poses, project
 from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, centres_by_numbers
-from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.errors import InsufficientDataError
+from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import MIN_PARALLAX, triangulate
@@ -89,12 +88,12 @@ class Difference:
     @property
     def rotations(self) -> Float[np.ndarray, " C"]:
         """Angle between the two orientations of each camera, rad."""
-        return np.linalg.norm(_numbers_apart(self.first, self.second)[:, :3], axis=1)
+        return np.linalg.norm(_parameters_apart(self.first, self.second)[:, :3], axis=1)
 
     @property
     def focals(self) -> Float[np.ndarray, " C"]:
         """Change of the focal length, mean of x and y, px."""
-        return _numbers_apart(self.first, self.second)[:, 6:8].mean(axis=1)
+        return _parameters_apart(self.first, self.second)[:, 6:8].mean(axis=1)
 
     @property
     def points(self) -> float:
@@ -119,9 +118,15 @@ def difference(
     Raises:
         InsufficientDataError: fewer than two cameras, or fewer than three places that two cameras of both rigs see.
         ValueError: the cameras differ.
+        UsageError: the lenses are of different models.
     """
     if first.names != second.names:
         raise ValueError(f"The cameras differ: {list(first.names)} and {list(second.names)}; select alike.")
+    kinds = [type(rig.cameras.lens).name for rig in (first, second)]
+    if kinds[0] != kinds[1]:
+        raise UsageError(
+            f"The lenses are of different models, {kinds[0]} and {kinds[1]}; calibrate both with one --lens.distortion."
+        )
     if align and len(first) < 2:
         raise InsufficientDataError("1 camera in common does not hold a frame; an alignment takes two or more.")
     with jax.enable_x64(True):
@@ -231,20 +236,14 @@ def _start(first: CameraRig, second: CameraRig, places, seen, pixels) -> Similar
     return best
 
 
-def _numbers_apart(first: CameraRig, second: CameraRig) -> Float[np.ndarray, "C 15"]:
-    """The second's numbers minus the first's, in the order of `Camera.perturbed`."""
+def _parameters_apart(first: CameraRig, second: CameraRig) -> Float[np.ndarray, "C p"]:
+    """The second's parameters minus the first's, in the order of `Camera.perturbed`."""
     (before, from_), (after, to) = poses(first), poses(second)
     with jax.enable_x64(True):
         turned = np.asarray(jax.vmap(so3.log)(jnp.asarray(after @ np.swapaxes(before, 1, 2))))
     one, other = first.cameras, second.cameras
-    lens = [
-        np.asarray(b) - np.asarray(a)
-        for a, b in zip(
-            (one.focal, one.center, *jax.tree.leaves(one.distortion)),
-            (other.focal, other.center, *jax.tree.leaves(other.distortion)),
-        )
-    ]
-    return np.concatenate([turned, to - from_, *lens], axis=1)
+    lens = np.asarray(other.lens.parameters) - np.asarray(one.lens.parameters)
+    return np.concatenate([turned, to - from_, lens], axis=1)
 
 
 def _allowed(
@@ -255,11 +254,11 @@ def _allowed(
         second = rig_about(second, middle)
         first, joint = near(first, joint, middle)
         places = places - middle
-    count, apart = len(first), _numbers_apart(first, second).ravel()
+    count, apart = len(first), _parameters_apart(first, second)
     by_camera, _ = derivatives_perturbed(first, places, seen)
     ways = camera_ways(first).reshape(-1, FREEDOMS)
     held = joint if weights is None else _without_frame(joint, by_camera, ways, weights)
-    blocks = held.reshape(count, PARAMETERS, count, PARAMETERS)
+    blocks = held.reshape(count, first.camera_size, count, first.camera_size)
     pixel_variance = np.zeros((len(places), count))
     for c in range(count):
         rows = by_camera[:, c]
@@ -279,9 +278,9 @@ def _allowed(
 
 def _judged(apart, joint, ways) -> tuple[np.ndarray, float, float, int, tuple[int, ...]]:
     """The last fields of `Allowed`: cameras are set aside, worst first, while that makes the rest far more alike."""
-    count = len(apart) // PARAMETERS
-    apart, ways = apart.reshape(count, PARAMETERS), ways.reshape(count, PARAMETERS, -1)
-    joint = joint.reshape(count, PARAMETERS, count, PARAMETERS)
+    count, size = apart.shape
+    ways = ways.reshape(count, size, ways.shape[1])
+    joint = joint.reshape(count, size, count, size)
     whole = rest = _squares(apart, joint, ways, range(count))
     kept, culprits = list(range(count)), []
     ratios = np.sqrt(rest.shares / rest.share_freedoms)
@@ -300,7 +299,7 @@ def _judged(apart, joint, ways) -> tuple[np.ndarray, float, float, int, tuple[in
 def _without_frame(joint, by_camera, ways, weights) -> np.ndarray:
     """The covariance of differences after an alignment by projections: an S-transformation, see `uncertainty`."""
     count = len(weights)
-    pull = np.einsum("c,pcij,cjk->pcik", weights, by_camera, ways.reshape(count, PARAMETERS, FREEDOMS))
+    pull = np.einsum("c,pcij,cjk->pcik", weights, by_camera, ways.reshape(count, -1, FREEDOMS))
     of_numbers = np.einsum("pcik,pcij->kcj", pull, by_camera).reshape(FREEDOMS, -1)
     away = np.eye(len(joint)) - ways @ np.linalg.solve(of_numbers @ ways, of_numbers)
     return away @ joint @ away.T
@@ -331,8 +330,8 @@ def _squares(apart, joint, ways, cameras: Sequence[int]) -> _Squares:
     """
     bases = [_varying(joint[c, :, c]) for c in cameras]
     owner = np.repeat(np.arange(len(bases)), [basis.shape[1] for basis in bases])
-    turned = block_diag(*bases).T  # (n, 15 C'), every camera by itself with unit variance
-    covariance = turned @ joint[np.ix_(cameras, range(PARAMETERS), cameras, range(PARAMETERS))].reshape(
+    turned = block_diag(*bases).T  # (n, p C'), every camera by itself with unit variance
+    covariance = turned @ joint[np.ix_(cameras, range(joint.shape[1]), cameras, range(joint.shape[3]))].reshape(
         turned.shape[1], -1
     ) @ turned.T  # fmt: skip
     away = turned @ apart[cameras].ravel()
@@ -348,7 +347,7 @@ def _squares(apart, joint, ways, cameras: Sequence[int]) -> _Squares:
     return _Squares(float(away @ pull), rest.shape[1], np.array(shares), np.maximum(freedoms, 1))
 
 
-def _varying(covariance: Float[np.ndarray, "15 15"]) -> Float[np.ndarray, "15 V"]:
+def _varying(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p V"]:
     """Combinations of a camera's numbers that vary, each by itself with unit variance: fx and fy may be one number."""
     scale = np.sqrt(np.diagonal(covariance))
     safe = np.where(scale > 0, scale, 1.0)

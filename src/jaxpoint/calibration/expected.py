@@ -48,7 +48,7 @@ def expected_error(
     """The error to expect at places of the rig's frame.
 
     Args:
-        covariance: of the cameras, D = 15 C, in the order of `Camera.perturbed`.
+        covariance: of the cameras, D = p C, in the order of `Camera.perturbed`.
         sigma_px: standard deviation of one pixel coordinate of the places' own observations.
     """
     middle = far_middle(places)

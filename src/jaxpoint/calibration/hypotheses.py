@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.calibration.bundle import ASPECT, CENTER, FOCAL, RADIAL, SIZE
 from jaxpoint.calibration.essential import chain, voted_focals
 from jaxpoint.calibration.factorization import Projective
 from jaxpoint.calibration.recording import Recording, RigState, padded_cameras
 from jaxpoint.calibration.stratification import Views, candidates, upgrade
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
-from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.conversion import fit_coefficients
+from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, adjusted_lenses, size_of
 from jaxpoint.camera.rig import CameraRig
 
 REFERENCE_PAIRS = 4  # pairs of cameras whose focal lengths are searched
@@ -30,12 +30,20 @@ class Lenses:
     focals: np.ndarray | None  # (C,) half diagonals, where intrinsics are known
     division: np.ndarray  # (C,) division-model parameters
     known: CameraRig | None
+    model: type[AbstractLens]
+    bends: np.ndarray  # (k,) which coefficients the division model is turned into
 
     @staticmethod
-    def of(data: NormalisedTracks, geometry: TwoViewGeometry, known: CameraRig | None) -> Lenses:
+    def of(
+        data: NormalisedTracks,
+        geometry: TwoViewGeometry,
+        known: CameraRig | None,
+        model: type[AbstractLens],
+        bends: np.ndarray,
+    ) -> Lenses:
         """From known intrinsics, or from the pairs' division-model parameters."""
         focals = None if known is None else np.asarray(known.cameras.focal)[:, 0] / data.half_diagonals
-        return Lenses(focals, geometry.lenses, known)
+        return Lenses(focals, geometry.lenses, known, model, bends)
 
 
 def upgraded(
@@ -119,7 +127,7 @@ def rig_state(
     lenses: Lenses,
     division: np.ndarray,
 ) -> RigState:
-    """The 15 numbers of every camera, in pixels, at a scale where the cameras are about 1 apart.
+    """The parameters of every camera, in pixels, at a scale where the cameras are about 1 apart.
 
     Args:
         rotation, translation: cam_from_world (C, 3, 3), (C, 3).
@@ -129,7 +137,7 @@ def rig_state(
         division: (C,) division-model parameters.
     """
     count, size = recording.cameras, len(recording.image_sizes)
-    numbers, base = np.zeros((size, SIZE)), np.tile(np.eye(3), (size, 1, 1))
+    numbers, base = np.zeros((size, size_of(lenses.model))), np.tile(np.eye(3), (size, 1, 1))
     base[:count] = rotation
     positions = -np.einsum("cji,cj->ci", rotation, translation)
     middle = positions.mean(axis=0)
@@ -141,32 +149,25 @@ def rig_state(
     numbers[:, FOCAL] = np.log(1000.0)
     numbers[:, CENTER] = (recording.image_sizes - 1) / 2.0
     if lenses.known is not None:
-        numbers[:count, FOCAL:] = known_numbers(lenses.known)
-        return RigState(numbers, base, placed)
+        numbers[:count, FOCAL:] = adjusted_lenses(lenses.known)
+        return RigState(numbers, base, placed, lenses.model)
     numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
     numbers[:count, ASPECT] = -np.log(data.pixel_aspects)
     for camera in range(count):
         reach = np.linalg.norm(data.points[data.visible[:, camera], camera], axis=1).max()
-        numbers[camera, RADIAL] = brown_of_division(division[camera], focal[camera], reach)
-    return RigState(numbers, base, placed)
+        numbers[camera, COEFFICIENTS] = coefficients_of_division(division[camera], focal[camera], reach, lenses)
+    return RigState(numbers, base, placed, lenses.model)
 
 
-def known_numbers(rig: CameraRig) -> np.ndarray:
-    """The nine lens numbers of known cameras, (C, 9), as `bundle` orders them."""
-    focal = np.asarray(rig.cameras.focal)
-    numbers = np.zeros((len(focal), SIZE - FOCAL))
-    numbers[:, 0] = np.log(focal[:, 1])
-    numbers[:, ASPECT - FOCAL] = np.log(focal[:, 0] / focal[:, 1])
-    numbers[:, 2:4] = np.asarray(rig.cameras.center)
-    numbers[:, 4:] = np.asarray(cast(Brown, rig.cameras.distortion).coefficients)
-    return numbers
+_FOUR_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
-def brown_of_division(lens: float, focal: float, reach: float) -> np.ndarray:
-    """k1 and k2 that bend like a division-model lens up to the distorted radius `reach` (half diagonals)."""
+def coefficients_of_division(lens: float, focal: float, reach: float, lenses: Lenses) -> np.ndarray:
+    """Coefficients (k,) that bend like a division-model lens up to the distorted radius `reach` (half diagonals)."""
     bent = np.linspace(0.05, 1.0, 40) * reach
     third = 1.0 + lens * bent**2
     bent, third = bent[third > 0.2], third[third > 0.2]
-    straight = bent / third / focal
-    design = np.stack([straight**3, straight**5], axis=1)
-    return np.linalg.lstsq(design, bent / focal - straight, rcond=None)[0]
+    straight, seen = ((values[:, None, None] * _FOUR_WAYS).reshape(-1, 2) for values in (bent / third / focal, bent))
+    directions = np.concatenate([straight, np.ones((len(straight), 1))], axis=1)
+    common = np.array([focal, focal, 0.0, 0.0])
+    return fit_coefficients(lenses.model, common, directions, seen, lenses.bends)

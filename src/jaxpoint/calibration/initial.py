@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxpoint.calibration.bundle import RADIAL, SIZE
 from jaxpoint.calibration.factorization import Projective, factorise, refine
 from jaxpoint.calibration.hypotheses import Lenses, chained, upgraded
 from jaxpoint.calibration.outliers import FIRST_LOSS_PX, robust_cost
@@ -14,6 +13,7 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.result import Stage
 from jaxpoint.calibration.sturm_triggs import thesis_factorisation
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
+from jaxpoint.camera.parameters import COEFFICIENTS
 from jaxpoint.errors import InsufficientDataError
 
 VOTES = 0.5  # an observation joins the first solution if it fits at least this share of its pairs
@@ -83,7 +83,7 @@ def _tried(inputs: Inputs, method: str, state: RigState) -> Start:
         from jaxpoint.calibration.consensus import consensus
 
         found = consensus(recording, state, 3.0 * FIRST_LOSS_PX * recording.scale)
-        state, kept = RigState(state.cameras, state.base, found.points), kept & found.placed[:, None]
+        state, kept = replace(state, points=found.points), kept & found.placed[:, None]
     loss = FIRST_LOSS_PX * recording.scale
     end = adjust(recording, state, kept, inputs.freedom, loss_scale=loss, steps=25, rtol=1e-4)
     return Start(method, end.state, robust_cost(recording, end.state))
@@ -92,9 +92,8 @@ def _tried(inputs: Inputs, method: str, state: RigState) -> Start:
 def _without_held_bends(state: RigState, freedom: Freedom) -> RigState:
     """Lens coefficients that do not move stand at their prior (0, or what is known), not at the pairs' guess."""
     cameras = state.cameras.copy()
-    bends = slice(RADIAL.start, SIZE)
-    cameras[:, bends] = np.where(freedom.free, cameras, freedom.prior_mean)[:, bends]
-    return RigState(cameras, state.base, state.points)
+    cameras[:, COEFFICIENTS] = np.where(freedom.free, cameras, freedom.prior_mean)[:, COEFFICIENTS]
+    return replace(state, cameras=cameras)
 
 
 def _factorisation(inputs: Inputs) -> tuple[list[RigState], list[Stage]]:

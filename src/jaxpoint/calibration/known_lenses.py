@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.calibration.bundle import ASPECT, CENTER, FOCAL, SIZE
 from jaxpoint.calibration.normal import NormalEquations
 from jaxpoint.calibration.recording import NOISE_PX, SIGMA_KNOWN, Freedom
 from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.camera.parameters import ASPECT, CENTER, FOCAL
 
 REFUTED = 4.0  # sigmas of what a careful lens calibration leaves open (1 % of a focal length) and of this recording
 LOOSE = 0.5  # sigma of a log focal length, and of a principal point in image widths, that are unknown again
@@ -58,7 +58,7 @@ def lens_test(calibration: Calibration, normal: NormalEquations) -> LensTest | N
 def unknown_again(freedom: Freedom, camera: int, widths: Float[np.ndarray, " C"], noise_px: float) -> Freedom:
     """The freedom with hardly a prior on the lens of one camera, for pixels of this noise."""
     free, weight = freedom.free.copy(), freedom.prior_weight.copy()
-    free[camera, FOCAL:SIZE] = True
+    free[camera, FOCAL:] = True
     free[camera, ASPECT] = freedom.free[camera, ASPECT]
     weight[camera, FOCAL] = (noise_px / LOOSE) ** 2
     weight[camera, CENTER] = (noise_px / (LOOSE * widths[camera])) ** 2

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxpoint.calibration.bundle import K3
 from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.camera.parameters import COEFFICIENTS
 
 RINGS = 10  # of equal width, from the principal point to half an image diagonal
 ENOUGH = 25  # observations that a ring needs
@@ -79,7 +81,7 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
             f"The lens model does not reach the edge of the image: beyond {end:.0%} of the half diagonal most "
             f"observations of {', '.join(shown)} are rejected, within it they fit. The lens is wider than the model "
             "can describe.",
-            "Use a lens of less than about 100 degrees; places beyond that radius are flagged by `triangulate`",
+            f"{_other_model(calibration)}; places beyond that radius are flagged by `triangulate`",
             shown,
         )
     wavy = tuple(name for name, value in zip(names, wave) if value > WAVY)
@@ -89,11 +91,19 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
             "bad" if wave.max() > 2 * WAVY else "care",
             f"The residuals of {', '.join(wavy)} follow the distance from the image centre, by "
             f"{wave.max() * calibration.sigma_px:.2f} px (rms): the lens model does not describe this lens.",
-            "Use a lens of less than about 100 degrees"
-            if calibration.freedom is not None and calibration.freedom.free[:, K3].any()
-            else "Allow more terms (--lens.distortion brown)",
+            _other_model(calibration),
             wavy,
         )
+
+
+def _other_model(calibration: Calibration) -> str:
+    """The lens model to try next, or what else helps."""
+    lens, freedom = type(calibration.rig.cameras.lens), calibration.freedom
+    if lens is KannalaBrandt:
+        return "Give known lenses (--intrinsics), or leave these cameras out"
+    if lens is Brown and freedom is not None and not freedom.free[:, COEFFICIENTS].all(axis=1).any():
+        return "Allow more terms (--lens.distortion brown), or try a fisheye (--lens.distortion fisheye)"
+    return "Try a fisheye (--lens.distortion fisheye)"
 
 
 def waviness(profile: LensProfile, sigma_px: float) -> Float[np.ndarray, " C"]:

@@ -1,26 +1,45 @@
-"""Tangential and higher radial lens terms are freed only where held-out error falls."""
+"""Which lens model a recording supports: more coefficients, or a fisheye, only where they predict it better."""
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from jaxpoint.calibration.bundle import K3, TANGENTIAL
-from jaxpoint.calibration.objective import Solution, solve_with
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.outliers import GROWING_PX, Settled, judge, settle
-from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
+from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, priors, project
 from jaxpoint.calibration.result import Stage
+from jaxpoint.camera.conversion import convert
+from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.parameters import COEFFICIENTS, FOCAL, chosen_coefficients, lens_parameters
 from jaxpoint.config import CalibrateSettings
 
+SIMPLE, RICH, FISHEYE = "radial2", "brown", "fisheye"  # settings of `lens.distortion` that `auto` chooses from
 LEAST_GAIN = 0.05  # of the mean held-out error: less is not worth a flatter valley of the focal lengths
 STRETCHES = 40
 LEAST_EVIDENCE = 3.0  # standard errors of the mean difference
+WIDE = 0.85  # focal lengths from the principal point: cameras that see less are taken as Brown's
+FAR_SHARE = 0.98  # of a camera's observations lie within the radius by which it counts as wide
+WORTH = 4.0  # fall of the objective for every coefficient more (twice what Akaike 1974 asks: lenses are alike)
 
 
-def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSettings) -> tuple[Solution, Stage]:
+def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSettings) -> tuple[Solution, list[Stage]]:
+    """More of Brown's coefficients where they predict held-out frames better, then a fisheye where it explains more."""
+    if solution.state.lens is not lens_of_choice(SIMPLE)[0]:
+        return solution, []  # chosen before another prior was given up
+    solution, stage = _choose_terms(recording, solution, settings)
+    if not _is_wide(recording, solution.state):
+        return solution, [stage]
+    return _choose_fisheye(recording, solution, settings, stage)
+
+
+def _choose_terms(recording: Recording, solution: Solution, settings: CalibrateSettings) -> tuple[Solution, Stage]:
     """Solve again with p1, p2 and k3 where they predict held-out frames better; otherwise leave the rig as it is."""
-    simple, rich = (_with_terms(solution.freedom, recording.exists, extra) for extra in (False, True))
-    if solution.freedom.free[:, K3].any():  # chosen before another prior was given up: ask again
-        solution = solve_with(recording, _without_terms(solution.settled.judged.state), simple, settings.outliers)
+    simple, rich = (_with_choice(solution, recording.exists, choice) for choice in (SIMPLE, RICH))
+    if (solution.freedom.free & ~simple.free).any():  # chosen before another prior was given up: ask again
+        solution = solve_with(recording, _at_prior(solution.state, simple), simple, settings.outliers)
     settled = solution.settled
     held = _held_out_frames(settled.judged.kept, settings.held_out, settings.seed)
     if held.sum() < 10:
@@ -41,21 +60,77 @@ def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSet
     return Solution(again, rich), Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
 
 
-def _with_terms(freedom: Freedom, exists: np.ndarray, extra: bool) -> Freedom:
-    """The freedom with tangential and third radial terms free or not."""
-    free = freedom.free.copy()
-    free[exists, TANGENTIAL], free[exists, K3] = extra, extra
-    return Freedom(free, freedom.prior_mean, freedom.prior_weight)
+def _choose_fisheye(
+    recording: Recording, solution: Solution, settings: CalibrateSettings, stage: Stage
+) -> tuple[Solution, list[Stage]]:
+    """The fisheye model for all cameras where it lowers the objective over all observations."""
+    freedom = fisheye_freedom(recording, solution.freedom, settings)
+    trial = solve_with(recording, as_fisheye(recording, solution.state), freedom, settings.outliers)
+    more = int(freedom.free.sum()) - int(solution.freedom.free.sum())
+    gain = better_by(trial, solution)
+    figures = {
+        "fall_of_the_objective": float(gain),
+        "coefficients_more": more,
+        "inliers_before": int(solution.settled.judged.kept.sum()),
+        "inliers_with_fisheye": int(trial.settled.judged.kept.sum()),
+    }
+    better = gain > WORTH * max(more, 1)
+    chosen = Stage("Wide lenses", {"chosen": "fisheye" if better else "Brown's", **figures})
+    return (trial if better else solution), [stage, chosen]
 
 
-def _without_terms(state: RigState) -> RigState:
+def fisheye_freedom(recording: Recording, freedom: Freedom, settings: CalibrateSettings) -> Freedom:
+    """The freedom with the fisheye's coefficients in place of Brown's; all else as it was."""
+    model, names = lens_of_choice(FISHEYE)
+    mean, weight = priors(recording, settings.lens, model)
+    free = np.zeros(mean.shape, bool)
+    free[recording.exists, COEFFICIENTS] = chosen_coefficients(model, names)
+    common = slice(0, COEFFICIENTS.start)
+    for new, old in ((free, freedom.free), (mean, freedom.prior_mean), (weight, freedom.prior_weight)):
+        new[:, common] = old[:, common]
+    return Freedom(free, mean, weight)
+
+
+def as_fisheye(recording: Recording, state: RigState) -> RigState:
+    """The rig with fisheye lenses that see each camera's observations where its lens sees them."""
+    model, names = lens_of_choice(FISHEYE)
+    free = chosen_coefficients(model, names)
+    cameras = np.zeros((len(state.cameras), COEFFICIENTS.start + len(free)))
+    cameras[:, : COEFFICIENTS.start] = state.cameras[:, : COEFFICIENTS.start]
+    for camera in range(recording.cameras):
+        own = np.array(lens_parameters(state.cameras[camera, FOCAL:], np))
+        pixels = recording.pixels[recording.visible[:, camera], camera]
+        cameras[camera, COEFFICIENTS] = convert(own, state.lens, model, pixels, free)[4:]
+    return replace(state, cameras=cameras, lens=model)
+
+
+def _is_wide(recording: Recording, state: RigState) -> bool:
+    """Whether some camera has observations far off its axis, as its lens has it."""
+    for camera in range(recording.cameras):
+        fx, fy, cx, cy, *_ = lens_parameters(state.cameras[camera, FOCAL:], np)
+        away = (recording.pixels[recording.visible[:, camera], camera] - [cx, cy]) / [fx, fy]
+        if len(away) and np.quantile(np.linalg.norm(away, axis=1), FAR_SHARE) > WIDE:
+            return True
+    return False
+
+
+def _with_choice(solution: Solution, exists: np.ndarray, choice: str) -> Freedom:
+    """The freedom with the coefficients free that a setting frees."""
+    free = solution.freedom.free.copy()
+    free[exists, COEFFICIENTS] = chosen_coefficients(*lens_of_choice(choice))
+    return replace(solution.freedom, free=free)
+
+
+def _at_prior(state: RigState, freedom: Freedom) -> RigState:
+    """Coefficients that are not free stand at their prior."""
     cameras = state.cameras.copy()
-    cameras[:, TANGENTIAL], cameras[:, K3] = 0.0, 0.0
-    return RigState(cameras, state.base, state.points)
+    held = np.where(freedom.free, cameras, freedom.prior_mean)
+    cameras[:, COEFFICIENTS] = held[:, COEFFICIENTS]
+    return replace(state, cameras=cameras)
 
 
-def _held_out_frames(kept: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """Frames (N,) set aside in whole stretches: neighbours in time share their errors and would tell too much.
+def _held_out_frames(kept: Bool[np.ndarray, "N D"], share: float, seed: int) -> Bool[np.ndarray, " N"]:
+    """Frames set aside in whole stretches: neighbours in time share their errors and would say too much.
 
     Frames with three views or more where possible, as two views predict next to nothing.
     """
@@ -69,13 +144,15 @@ def _held_out_frames(kept: np.ndarray, share: float, seed: int) -> np.ndarray:
     return held
 
 
-def _held_out_errors(recording: Recording, settled: Settled, freedom: Freedom, held: np.ndarray) -> np.ndarray:
+def _held_out_errors(
+    recording: Recording, settled: Settled, freedom: Freedom, held: Bool[np.ndarray, " N"]
+) -> Float[np.ndarray, " M"]:
     """Mean error (px) of every held-out frame, triangulated with cameras fitted without them."""
     kept = settled.judged.kept
     loss = 2.0 * settled.sigma_px
     freedom = freedom.at_noise(settled.sigma_px)
     fit = adjust(recording, settled.judged.state, kept & ~held[:, None], freedom, loss_scale=loss, steps=40)
-    start = RigState(fit.state.cameras, fit.state.base, settled.judged.state.points)
+    start = replace(fit.state, points=settled.judged.state.points)
     placed = place_points(recording, start, kept & held[:, None], loss)
     errors = np.linalg.norm(project(placed)[0] - recording.pixels, axis=-1)
     return np.where(kept, errors, 0.0).sum(axis=1)[held] / kept.sum(axis=1)[held]

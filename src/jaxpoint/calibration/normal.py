@@ -13,20 +13,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.linalg import cho_factor, cho_solve
 
-from jaxpoint.calibration.bundle import FOCAL, SIZE
-from jaxpoint.calibration.hypotheses import known_numbers
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import covariance_of_points, cross_terms, derivatives
 from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, variance_px2
+from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.motion import motion
 from jaxpoint.tracks import Tracks
 
-OFFSET, DRIFT, ROWS = SIZE, SIZE + 1, SIZE + 2
+OFFSET, DRIFT, ROWS = -3, -2, -1
 """The last columns, none of them solved for by `calibrate`: frames by which a camera shows the light late, by how many
 more at the end of the recording than at its start, and by how many more in the last image row than in the first."""
-COLUMNS = SIZE + 3
+EXTRA = 3  # of them
 BLOCK = 1024  # points at once
 
 
@@ -34,30 +33,30 @@ BLOCK = 1024  # points at once
 class Step:
     """The Gauss-Newton step under one choice of free parameters, and the covariance there."""
 
-    change: Float[np.ndarray, "C 18"]
-    covariance: Float[np.ndarray, "D D"]  # D = 18 C; zero where held
+    change: Float[np.ndarray, "C q"]
+    covariance: Float[np.ndarray, "D D"]  # D = q C; zero where held
     gain: float  # predicted fall of the cost in variances: chi-square, one degree of freedom a freed parameter
 
     @property
-    def sigmas(self) -> Float[np.ndarray, "C 18"]:
+    def sigmas(self) -> Float[np.ndarray, "C q"]:
         """One standard deviation of every parameter; of camera parameters in some frame, of lens parameters in any."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)).reshape(self.change.shape)
 
     def block(self, camera: int, columns: slice) -> Float[np.ndarray, "n n"]:
         """The covariance of some parameters of one camera."""
-        start = camera * COLUMNS
+        start = camera * self.change.shape[1]
         some = slice(start + columns.start, start + columns.stop)
         return self.covariance[some, some]
 
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """J^T W J and J^T W r with the points eliminated (px^2), of all 15 parameters of a camera and the extra ones."""
+    """J^T W J and J^T W r with the points eliminated (px^2), of all p parameters of a camera and the extra ones."""
 
     matrix: Float[np.ndarray, "D D"]
     gradient: Float[np.ndarray, " D"]
     gauge: Float[np.ndarray, "D 7"]  # directions in which a similarity moves the cameras
-    parameters: Float[np.ndarray, "C 15"]  # where the solution stands; the poses as zeros
+    parameters: Float[np.ndarray, "C p"]  # where the solution stands; the poses as zeros
     variance: float  # px^2, by which the inverse is to be scaled
 
     def solve(self, freedom: Freedom, extra: tuple[int, ...] = ()) -> Step:
@@ -69,12 +68,12 @@ class NormalEquations:
         Raises:
             LinAlgError: the observations leave more than a similarity open.
         """
-        cameras = len(self.parameters)
-        free, weight = np.zeros((cameras, COLUMNS), bool), np.zeros((cameras, COLUMNS))
-        free[:, :SIZE], weight[:, :SIZE] = freedom.free, np.where(freedom.free, freedom.prior_weight, 0.0)
+        more = ((0, 0), (0, EXTRA))
+        free = np.pad(freedom.free, more)
+        weight = np.pad(np.where(freedom.free, freedom.prior_weight, 0.0), more)
         free[1:, list(extra)] = True
-        pull = weight[:, :SIZE] * (self.parameters - freedom.prior_mean)
-        gradient = self.gradient.reshape(free.shape) + np.pad(pull, ((0, 0), (0, COLUMNS - SIZE)))
+        pull = weight * np.pad(self.parameters - freedom.prior_mean, more)
+        gradient = self.gradient.reshape(free.shape) + pull
         chosen = np.flatnonzero(free)
         matrix = self.matrix[np.ix_(chosen, chosen)] + np.diag(weight.ravel()[chosen])
         inverse = _inverse(matrix, self.gauge[chosen])
@@ -96,23 +95,22 @@ def _inverse(matrix: np.ndarray, gauge: np.ndarray) -> np.ndarray:
 def normal_equations(calibration: Calibration) -> NormalEquations:
     """The normal equations of the inliers of a calibration as `calibrate` returned it. Plain numpy, float64."""
     rig, tracks = calibration.rig, calibration.tracks
-    cameras = len(rig)
+    cameras, columns = len(rig), rig.camera_size + EXTRA
     seen = calibration.kept & calibration.point_valid[:, None]
     late = _late(tracks, motion(tracks.pixels, seen, tracks.frame_ids).velocity)
     square = (calibration.residuals**2).sum(axis=-1)
     loss = np.inf if calibration.loss_scale is None else calibration.loss_scale
     weights = np.where(seen, 1.0 / (1.0 + square / loss**2), 0.0)
-    matrix, gradient = np.zeros((cameras * COLUMNS, cameras * COLUMNS)), np.zeros(cameras * COLUMNS)
+    matrix, gradient = np.zeros((cameras * columns, cameras * columns)), np.zeros(cameras * columns)
     for start in range(0, tracks.frames, BLOCK):
         some = slice(start, start + BLOCK)
         part, slope = _eliminated(
             rig, calibration.points[some], seen[some], weights[some], late[some], calibration.residuals[some]
         )
         matrix, gradient = matrix + part, gradient + slope
-    parameters = np.zeros((cameras, SIZE))
-    parameters[:, FOCAL:] = known_numbers(rig)
-    gauge = np.zeros((cameras, COLUMNS, FREEDOMS))
-    gauge[:, :SIZE] = camera_ways(rig)
+    parameters = np.zeros((cameras, rig.camera_size))
+    parameters[:, FOCAL:] = adjusted_lenses(rig)
+    gauge = np.pad(camera_ways(rig), ((0, 0), (0, EXTRA), (0, 0)))
     mean_weight = weights[seen].mean() if seen.any() else 1.0
     variance = variance_px2(calibration) * mean_weight
     return NormalEquations(matrix, gradient, gauge.reshape(-1, FREEDOMS), parameters, variance)
@@ -149,5 +147,5 @@ def _eliminated(
     count = seen.shape[1]
     blocks = np.einsum("bcip,bciq->cpq", by_camera, by_camera, optimize=True)
     each = np.arange(count)
-    matrix.reshape(count, COLUMNS, count, COLUMNS)[each, :, each] += blocks
+    matrix.reshape(count, blocks.shape[1], count, -1)[each, :, each] += blocks
     return matrix, gradient

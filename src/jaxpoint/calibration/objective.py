@@ -26,6 +26,11 @@ class Solution:
         return self.settled.cost / sigma_px**2 + self.pull
 
     @property
+    def state(self) -> RigState:
+        """The rig."""
+        return self.settled.judged.state
+
+    @property
     def pull(self) -> float:
         """Chi-square of the free parameters against their priors."""
         freedom, cameras = self.freedom, self.settled.judged.state.cameras

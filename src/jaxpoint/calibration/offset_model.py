@@ -1,4 +1,4 @@
-"""Cameras that are out of step: Brown's camera and one number more, its time offset (frames).
+"""Cameras that are out of step: a camera and one parameter more, its time offset (frames).
 
 The light is where the camera saw it `offset` frames later than the common clock says; the observation moves there
 along its own image velocity and acceleration, which stand beside the pixel: six numbers an observation.
@@ -6,32 +6,37 @@ along its own image velocity and acceleration, which stand beside the pixel: six
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 
-from jaxpoint.calibration.bundle import SIZE, BrownModel
+from jaxpoint.calibration.bundle import CameraModel
 from jaxpoint.calibration.schur import AbstractModel
 
-OFFSET = SIZE  # place of the offset among a camera's numbers
 MOST_FRAMES = 0.5  # in a step
 
 
 class OffsetModel(AbstractModel):
     """Residual: the projected pixel minus the observed one moved to the common clock (px)."""
 
-    camera_size: ClassVar[int] = SIZE + 1
-    residual_size: ClassVar[int] = 2
-    base: BrownModel = BrownModel()
+    base: CameraModel = CameraModel()
+
+    @property
+    def camera_size(self) -> int:
+        """The camera's own, and the offset, which is the last."""
+        return self.base.camera_size + 1
+
+    @property
+    def residual_size(self) -> int:
+        """A pixel."""
+        return 2
 
     def state(self, cameras, constants):
         """The state of the synchronised model, and the offsets."""
-        return self.base.state(cameras[:, :SIZE], constants), cameras[:, OFFSET]
+        return self.base.state(cameras[:, :-1], constants), cameras[:, -1]
 
     def residual(self, state, moved, point, pixel):
         """Projected minus moved, px."""
         camera, offset = state
-        return self.base.residual(camera, moved[:SIZE], point, _moved(pixel, offset + moved[OFFSET]))
+        return self.base.residual(camera, moved[:-1], point, _moved(pixel, offset + moved[-1]))
 
     def columns(self, state, point, pixel):
         """Those of the synchronised model; an offset takes the velocity from the residual."""
@@ -43,8 +48,8 @@ class OffsetModel(AbstractModel):
 
     def retract(self, cameras, constants, step):
         """As the synchronised model; offsets change by half a frame at most."""
-        rest = self.base.retract(cameras[:, :SIZE], constants, step[:, :SIZE])
-        offset = cameras[:, OFFSET:] + jnp.clip(step[:, OFFSET:], -MOST_FRAMES, MOST_FRAMES)
+        rest = self.base.retract(cameras[:, :-1], constants, step[:, :-1])
+        offset = cameras[:, -1:] + jnp.clip(step[:, -1:], -MOST_FRAMES, MOST_FRAMES)
         return jnp.concatenate([rest, offset], axis=1)
 
 

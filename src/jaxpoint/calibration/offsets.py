@@ -6,14 +6,14 @@ motion from what was not rejected, judges, and adjusts cameras, points and offse
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.calibration.bundle import LEAST_SQUARES, SIZE, from_blocks, solve, to_blocks
-from jaxpoint.calibration.offset_model import OFFSET, OffsetModel
+from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, from_blocks, solve, to_blocks
+from jaxpoint.calibration.offset_model import OffsetModel
 from jaxpoint.calibration.outliers import GROWING_PX, Judgement, Settled, judge, robust_sigma, settle
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Verdict
@@ -23,7 +23,6 @@ from jaxpoint.config import OutlierSettings
 from jaxpoint.motion import OnClock, motion, on_clock
 from jaxpoint.tracks import Tracks
 
-MODEL = OffsetModel()
 STEPS = 30  # of one joint adjustment
 MAX_ROUNDS = 15
 STILL = 0.005  # frames: offsets that change less, twice in a row, no longer move
@@ -98,10 +97,10 @@ def _adjusted(
     """The rig, and what is to be added to the offsets."""
     state = judged.state.rebased()
     problem, start = _problem(recording, clock, state, judged.kept, freedom, loss_scale)
-    solver = SchurLevenbergMarquardt(model=MODEL, rtol=jnp.asarray(1e-6))
+    solver = SchurLevenbergMarquardt(model=OffsetModel(CameraModel(state.lens)), rtol=jnp.asarray(1e-6))
     end = solve(solver, start, problem)
     cameras = np.asarray(end.cameras)
-    return RigState(cameras[:, :SIZE], state.base, from_blocks(end.points)), cameras[: recording.cameras, OFFSET]
+    return replace(state, cameras=cameras[:, :-1], points=from_blocks(end.points)), cameras[: recording.cameras, -1]
 
 
 def _problem(
@@ -128,8 +127,8 @@ def _problem(
 
 
 @jit
-def _camera_system(start: Unknowns, problem: Problem):
-    diagonal, product, _, _ = reduced_system(MODEL, start, problem, jnp.zeros((), start.cameras.dtype))
+def _camera_system(model: OffsetModel, start: Unknowns, problem: Problem):
+    diagonal, product, _, _ = reduced_system(model, start, problem, jnp.zeros((), start.cameras.dtype))
     return diagonal, product
 
 
@@ -140,7 +139,8 @@ def _unit_sigmas(recording: Recording, clock: OnClock, judged: Judgement, freedo
     else holds theirs.
     """
     problem, start = _problem(recording, clock, judged.state.rebased(), judged.kept, freedom, LEAST_SQUARES)
-    diagonal, product = (np.asarray(part) for part in _camera_system(start, problem))
+    model = OffsetModel(CameraModel(judged.state.lens))
+    diagonal, product = (np.asarray(part) for part in _camera_system(model, start, problem))
     count, size, _ = diagonal.shape
     matrix = -product.reshape(count, size, count, size)
     each = np.arange(count)
@@ -152,4 +152,4 @@ def _unit_sigmas(recording: Recording, clock: OnClock, judged: Judgement, freedo
     parts = (vectors * scale[:, None])[:, SIMILARITY:] / np.sqrt(np.maximum(values[SIMILARITY:], 1e-300))
     sigmas = np.zeros(count * size)
     sigmas[free] = np.sqrt((parts**2).sum(axis=1))
-    return sigmas.reshape(count, size)[: recording.cameras, OFFSET]
+    return sigmas.reshape(count, size)[: recording.cameras, -1]

@@ -6,7 +6,7 @@ that was thrown out stays out for that reason.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -38,7 +38,7 @@ def judge(recording: Recording, state: RigState, threshold: float, loss_scale: f
     """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px."""
     found = consensus(recording, state, 1.5 * threshold)
     visible = recording.visible & found.placed[:, None]
-    start = RigState(state.cameras, state.base, found.points)
+    start = replace(state, points=found.points)
     placed = place_points(recording, start, visible, loss_scale or threshold / 2.0)
     pixels, depth = project(placed)
     errors = np.linalg.norm(pixels - recording.pixels, axis=-1)

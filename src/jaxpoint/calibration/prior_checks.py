@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.aspects import aspect_text
-from jaxpoint.calibration.bundle import ASPECT, CENTER
 from jaxpoint.calibration.known_lenses import given_lenses
 from jaxpoint.calibration.normal import NormalEquations
 from jaxpoint.calibration.prior_choice import REFUTED, doubts_of, with_free_aspects
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.camera.parameters import ASPECT, CENTER
 from jaxpoint.camera.rig import CameraRig
 
 ASPECT_OPEN = 0.05  # sigma of a log aspect from which square pixels are taken on trust

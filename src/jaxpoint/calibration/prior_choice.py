@@ -8,7 +8,7 @@ is given up, the rig is solved again, and the solution with the better objective
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -16,11 +16,11 @@ from scipy.stats import chi2
 
 from jaxpoint.calibration.aspects import aspect_patterns
 from jaxpoint.calibration.assembly import assembled
-from jaxpoint.calibration.bundle import ASPECT, CENTER
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage
+from jaxpoint.camera.parameters import ASPECT, CENTER
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
 
@@ -233,7 +233,7 @@ class PriorChoice:
         numbers[:cameras, ASPECT] = mean[:cameras, ASPECT] = -np.log(aspects)
         free[:cameras, ASPECT] = False
         held = Freedom(free, mean, freedom.prior_weight)
-        return self._solved(RigState(numbers, state.base, state.points), held)
+        return self._solved(replace(state, cameras=numbers), held)
 
     def _assembled(self, solution: Solution) -> Calibration:
         return assembled(self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs)

@@ -6,8 +6,6 @@ distorted point d belongs to the undistorted d / (1 + lambda |d|^2).
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import jax.numpy as jnp
 
 from jaxpoint.calibration.schur import AbstractModel
@@ -33,8 +31,16 @@ class ProjectiveModel(AbstractModel):
     - flag 0: projected minus observed pixel of the distorted image (px), then two zeros.
     """
 
-    camera_size: ClassVar[int] = 13
-    residual_size: ClassVar[int] = 4
+    @property
+    def camera_size(self) -> int:
+        """P row by row, then lambda."""
+        return 13
+
+    @property
+    def residual_size(self) -> int:
+        """See the class."""
+        return 4
+
     eta: float = 0.05
 
     def state(self, cameras, constants):
@@ -64,7 +70,7 @@ class ProjectiveModel(AbstractModel):
         )
 
     def columns(self, state, point, pixel):
-        """The derivatives of `residual`, written out; see `BrownModel.columns` for the divisions."""
+        """The derivatives of `residual`, written out; see `Brown.slopes_of` for the divisions."""
         numbers, half_diagonal, object_space = state
         a, b, c = _project(numbers, point)
         near, far = (1.0 - self.eta) ** 0.5, self.eta**0.5

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxpoint.calibration.uncertainty import Uncertainty
-from jaxpoint.camera.camera import PARAMETERS, Camera
+from jaxpoint.camera.camera import Camera
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm
 from jaxpoint.geometry.line import Ray
@@ -71,7 +71,7 @@ def pixel_uncertainty(uncertainty: Uncertainty, points: Float[AnyArray, "*batch 
     points = as_float(points)
     blocks = uncertainty.own_blocks
 
-    def one(camera: Camera, block: Float[Array, "15 15"], point: Float[Array, "3"]) -> tuple[Array, Array]:
+    def one(camera: Camera, block: Float[Array, "p p"], point: Float[Array, "3"]) -> tuple[Array, Array]:
         by_numbers = _by_numbers(lambda moved: moved.project(point), camera)
         return camera.project(point), by_numbers @ block @ by_numbers.T
 
@@ -244,13 +244,13 @@ def _point_derivatives(
     hessian = jnp.where(jnp.any(used), hessian.sum(axis=0), jnp.eye(3, dtype=point.dtype))
     pull = jnp.concatenate([part.transpose(1, 0, 2).reshape(3, -1) for part in (by_numbers, by_pixel)], axis=1)
     moved = -jnp.linalg.solve(hessian, pull)
-    size = by_numbers.shape[0] * PARAMETERS
+    size = by_numbers.shape[0] * by_numbers.shape[2]
     return moved[:, :size], moved[:, size:]
 
 
-def _by_numbers(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M 15"]:
-    """Derivative by the 15 numbers of a camera, in the order of `Camera.perturbed`."""
-    return jax.jacfwd(lambda change: function(camera.perturbed(change)))(jnp.zeros(PARAMETERS, camera.focal.dtype))
+def _by_numbers(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M p"]:
+    """Derivative by the parameters of a camera, in the order of `Camera.perturbed`."""
+    return jax.jacfwd(lambda change: function(camera.perturbed(change)))(jnp.zeros(camera.size, camera.focal.dtype))
 
 
 def _variance(uncertainty: Uncertainty, sigma_px) -> Float[Array, ""]:

@@ -2,29 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.bundle import (
-    ASPECT,
-    CENTER,
-    FOCAL,
-    K3,
-    LEAST_SQUARES,
-    RADIAL,
-    SIZE,
-    TANGENTIAL,
-    BrownModel,
-    from_blocks,
-    padded_frames,
-    solve,
-    to_blocks,
-)
+from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, from_blocks, padded_frames, solve, to_blocks
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, chosen_coefficients, size_of
 from jaxpoint.compilation import jit
 from jaxpoint.config import LensSettings
 from jaxpoint.tracks import Tracks
@@ -76,11 +66,12 @@ def padded_cameras(cameras: int) -> int:
 
 @dataclass(frozen=True)
 class RigState:
-    """A Euclidean rig while it is being solved: 15 numbers a camera (see `bundle`) about a base rotation."""
+    """A Euclidean rig while it is being solved: the parameters of `camera.parameters` about a base rotation."""
 
-    cameras: np.ndarray  # (D, 15)
+    cameras: np.ndarray  # (D, p)
     base: np.ndarray  # (D, 3, 3)
     points: np.ndarray  # (N, 3)
+    lens: type[AbstractLens] = Brown
 
     @property
     def rotation(self) -> np.ndarray:
@@ -96,69 +87,68 @@ class RigState:
         """The same rig with the rotation vectors at zero."""
         cameras = self.cameras.copy()
         cameras[:, :3] = 0.0
-        return RigState(cameras, self.rotation, self.points)
+        return replace(self, cameras=cameras, base=self.rotation)
 
 
 def free_parameters(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> np.ndarray:
-    """Which of the 15 numbers of each camera move, (D, 15) bool."""
-    free = np.zeros((recording.image_sizes.shape[0], SIZE), dtype=bool)
-    free[: recording.cameras, :6] = True
+    """Which parameters of each camera move, (D, p) bool."""
+    model, names = lens_of_choice(distortion)
+    free = np.zeros((recording.image_sizes.shape[0], size_of(model)), dtype=bool)
+    free[: recording.cameras, POSE] = True
     if hold:
         return free
     real = free[: recording.cameras]
     real[:, FOCAL] = True
     real[:, ASPECT] = lens.aspect == "free"
     real[:, CENTER] = lens.principal_point != "fixed"
-    real[:, RADIAL.start] = distortion in ("radial1", "radial2", "brown")
-    real[:, RADIAL.start + 1] = distortion in ("radial2", "brown")
-    real[:, TANGENTIAL] = distortion == "brown"
-    real[:, K3] = distortion == "brown"
+    real[:, COEFFICIENTS] = chosen_coefficients(model, names)
     return free
 
 
 NOISE_PX = 0.5  # assumed when priors are weighed against pixels
-SIGMA_ASPECT, SIGMA_RADIAL, SIGMA_TANGENTIAL = 0.3, 1.0, 0.005  # weak: they only hold what nothing else determines
+SIGMA_ASPECT = 0.3  # of a log aspect
 
 
-def priors(recording: Recording, lens: LensSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Prior mean and weight (px^2 per unit^2) of the 15 numbers of each camera, (D, 15) each."""
-    shape = (recording.image_sizes.shape[0], SIZE)
+def priors(recording: Recording, lens: LensSettings, model: type[AbstractLens]) -> tuple[np.ndarray, np.ndarray]:
+    """Prior mean and weight (px^2 per unit^2) of the parameters of each camera, (D, p) each."""
+    shape = (recording.image_sizes.shape[0], size_of(model))
     mean, sigma = np.zeros(shape), np.full(shape, np.inf)
     mean[:, CENTER] = (recording.image_sizes - 1) / 2.0
     mean[:, ASPECT] = -np.log(recording.pixel_aspects)  # of fx / fy
     if lens.principal_point == "prior":
         sigma[:, CENTER] = lens.principal_point_sigma * recording.image_sizes[:, :1]
     sigma[:, ASPECT] = SIGMA_ASPECT
-    sigma[:, RADIAL] = SIGMA_RADIAL
-    sigma[:, K3] = SIGMA_RADIAL
-    sigma[:, TANGENTIAL] = SIGMA_TANGENTIAL
+    mean[:, COEFFICIENTS] = [coefficient.prior_mean for coefficient in model.coefficients]
+    sigma[:, COEFFICIENTS] = [coefficient.prior_sigma for coefficient in model.coefficients]
     return mean, (NOISE_PX / sigma) ** 2
 
 
-SIGMA_KNOWN = np.array([0.01, 0.005, 0.01, 0.01, 0.03, 0.03, 0.002, 0.002, 0.03])
-"""How far known intrinsics are trusted when refined: log focal, log aspect, centre (of the image width), k1, k2, p1,
-p2, k3. About what a careful chessboard calibration leaves open."""
+SIGMA_KNOWN = np.array([0.01, 0.005, 0.01, 0.01])
+"""How far known intrinsics are trusted when refined: log focal, log aspect, centre (of the image width); of the
+coefficients each lens says it. About what a careful calibration with a board leaves open."""
 
 
 @dataclass(frozen=True)
 class Freedom:
     """What may move in an adjustment, and what it is drawn to."""
 
-    free: np.ndarray  # (D, 15) bool
-    prior_mean: np.ndarray  # (D, 15)
-    prior_weight: np.ndarray  # (D, 15)
+    free: np.ndarray  # (D, p) bool
+    prior_mean: np.ndarray  # (D, p)
+    prior_weight: np.ndarray  # (D, p)
 
     @staticmethod
     def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
         """The freedom that the settings ask for."""
-        return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens))
+        model, _ = lens_of_choice(distortion)
+        return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens, model))
 
-    def around(self, recording: Recording, numbers: np.ndarray) -> Freedom:
-        """The same freedom, drawn to known intrinsics: nine numbers a camera (C, 9) as `bundle` orders them."""
+    def around(self, recording: Recording, lenses: np.ndarray, model: type[AbstractLens]) -> Freedom:
+        """The same freedom, drawn to known lenses (C, p - 6), see `camera.parameters.adjusted_lenses`."""
         mean, weight = self.prior_mean.copy(), self.prior_weight.copy()
-        sigma = np.tile(SIGMA_KNOWN, (recording.cameras, 1))
+        known = [coefficient.known_sigma for coefficient in model.coefficients]
+        sigma = np.tile(np.concatenate([SIGMA_KNOWN, known]), (recording.cameras, 1))
         sigma[:, 2:4] *= recording.image_sizes[: recording.cameras, :1]
-        mean[: recording.cameras, FOCAL:] = numbers
+        mean[: recording.cameras, FOCAL:] = lenses
         weight[: recording.cameras, FOCAL:] = (NOISE_PX / sigma) ** 2
         return Freedom(self.free, mean, weight)
 
@@ -177,7 +167,6 @@ class Solved:
     settled: bool
 
 
-SOLVER = SchurLevenbergMarquardt(model=BrownModel())
 POINT_STEPS = 8
 LARGE_RIG = 16  # cameras
 
@@ -197,9 +186,9 @@ def adjust(
     problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
     # Of a large rig the products dominate; of a small one another compilation would.
     held = tuple(np.flatnonzero(~freedom.free.any(axis=0)).tolist()) if recording.cameras >= LARGE_RIG else ()
-    solver = SchurLevenbergMarquardt(model=BrownModel(held=held), rtol=jnp.asarray(rtol), atol=SOLVER.atol)
+    solver = SchurLevenbergMarquardt(model=CameraModel(state.lens, held), rtol=jnp.asarray(rtol))
     end = solve(solver, start, problem)
-    solved = RigState(np.asarray(end.cameras), state.base, from_blocks(end.points))
+    solved = replace(state, cameras=np.asarray(end.cameras), points=from_blocks(end.points))
     return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))
 
 
@@ -207,12 +196,12 @@ def place_points(recording: Recording, state: RigState, kept: np.ndarray, loss_s
     """The best point of every frame for cameras that stay as they are, from the points given."""
     nothing = np.zeros(state.cameras.shape)
     problem, start = _problem(recording, state, kept, Freedom(nothing > 0, nothing, nothing), loss_scale, 0)
-    return RigState(state.cameras, state.base, from_blocks(_placed(start, problem)))
+    return replace(state, points=from_blocks(_place_points(CameraModel(state.lens), start, problem)))
 
 
 @jit
-def _placed(start: Unknowns, problem: Problem):
-    return solve_points(SOLVER.model, start, problem, POINT_STEPS)
+def _place_points(model: CameraModel, start: Unknowns, problem: Problem):
+    return solve_points(model, start, problem, POINT_STEPS)
 
 
 def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, steps) -> tuple[Problem, Unknowns]:
@@ -230,18 +219,17 @@ def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, ste
 
 
 @jit
-def _projected(turned, numbers, points):
-    model = BrownModel()
-
-    def one(turn, rest, point):
-        pixel = model.residual((turn, rest), jnp.zeros(SIZE), point, jnp.zeros(2))
-        return pixel, (turn[2] * point).sum() + rest[2]
+def _projected(model: CameraModel, turned, rest, points):
+    def one(turn, own, point):
+        pixel = model.residual((turn, own), jnp.zeros(model.camera_size), point, jnp.zeros(2))
+        local = turn @ point + own[:3]
+        return pixel, jnp.linalg.norm(local) if model.lens.sees_sideways else local[2]
 
     over_cameras = jax.vmap(one, in_axes=(0, 0, None))
-    return jax.vmap(over_cameras, in_axes=(None, None, 0))(turned, numbers, points)
+    return jax.vmap(over_cameras, in_axes=(None, None, 0))(turned, rest, points)
 
 
 def project(state: RigState) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels (N, D, 2) and depths (N, D) of the points."""
-    pixels, depth = _projected(state.rotation, state.cameras[:, 3:], state.points)
+    """Pixels (N, D, 2) and depths (N, D) of the points; distances where a lens sees more than what lies ahead."""
+    pixels, depth = _projected(CameraModel(state.lens), state.rotation, state.cameras[:, 3:], state.points)
     return np.asarray(pixels), np.asarray(depth)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.assembly import assembled
-from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.known_lenses import lens_test, refuted_lenses, unknown_again
 from jaxpoint.calibration.lens_choice import choose_lens
 from jaxpoint.calibration.normal import normal_equations
@@ -17,18 +17,40 @@ from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.prior_choice import PriorChoice
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording
 from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, TimeOffsets
+from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
 from jaxpoint.calibration.uncertainty import variance_px2
+from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.parameters import adjusted_lenses, chosen_coefficients
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
 
+FIRST_LENS = "radial2"  # the setting under which `auto` begins
 
-def freedom_of(
-    recording: Recording, settings: CalibrateSettings, distortion: str, intrinsics: CameraRig | None
-) -> Freedom:
+
+def first_choice(settings: CalibrateSettings, intrinsics: CameraRig | None) -> str:
+    """The setting of `lens.distortion` under which the first solution is found; known lenses stay of their kind."""
+    choice = FIRST_LENS if settings.lens.distortion == "auto" else settings.lens.distortion
+    if intrinsics is None or isinstance(intrinsics.cameras.lens, lens_of_choice(choice)[0]):
+        return choice
+    return max(intrinsics.cameras.lens.choices.items(), key=lambda item: len(item[1]))[0]
+
+
+def freedom_of(recording: Recording, settings: CalibrateSettings, intrinsics: CameraRig | None) -> Freedom:
     """The parameters that the settings leave free, and their priors."""
-    freedom = Freedom.of(recording, settings.lens, distortion, hold=settings.lens.known == "hold")
-    return freedom if intrinsics is None else freedom.around(recording, known_numbers(intrinsics))
+    choice = first_choice(settings, intrinsics)
+    freedom = Freedom.of(recording, settings.lens, choice, hold=settings.lens.known == "hold")
+    if intrinsics is None:
+        return freedom
+    return freedom.around(recording, adjusted_lenses(intrinsics), type(intrinsics.cameras.lens))
+
+
+def lenses_of(
+    data: NormalisedTracks, geometry: TwoViewGeometry, settings: CalibrateSettings, intrinsics: CameraRig | None
+) -> Lenses:
+    """What the first solution knows of the lenses."""
+    model, names = lens_of_choice(first_choice(settings, intrinsics))
+    return Lenses.of(data, geometry, intrinsics, model, chosen_coefficients(model, names))
 
 
 @dataclass
@@ -65,8 +87,8 @@ class Refinement:
         """Tangential and higher radial terms where they predict held-out frames better."""
         if self.settings.lens.distortion != "auto" or self.settings.lens.known == "hold":
             return solution
-        chosen, stage = choose_lens(self.recording, solution, self.settings)
-        self.stages.append(stage)
+        chosen, stages = choose_lens(self.recording, solution, self.settings)
+        self.stages += stages
         return solution if chosen is solution else self._in_step_again(chosen)
 
     def _priors(self, solution: Solution) -> Solution:

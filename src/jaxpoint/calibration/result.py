@@ -92,7 +92,7 @@ class Calibration:
     seconds: dict[str, float] = field(default_factory=dict)  # init, adjust, total
     unit: str = "arbitrary"  # or "m"
     alignment: Any | None = None  # calibration.alignment.Alignment once aligned
-    camera_covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, in the order of `Camera.perturbed`
+    camera_covariance: Float[np.ndarray, "D D"] | None = None  # D = p C, in the order of `Camera.perturbed`
     gauge: str | None = None  # what holds the frame of that covariance, see `uncertainty`: "free" or "landmarks"
     undetermined: str = ""  # why there is no covariance, in words
     seed: int = 0

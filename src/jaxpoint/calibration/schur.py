@@ -57,8 +57,15 @@ class Problem(eqx.Module):
 class AbstractModel(eqx.Module):
     """What one residual is. `p` numbers describe a camera, `r` a residual."""
 
-    camera_size: eqx.AbstractClassVar[int]
-    residual_size: eqx.AbstractClassVar[int]
+    @property
+    @abc.abstractmethod
+    def camera_size(self) -> int:
+        """p."""
+
+    @property
+    @abc.abstractmethod
+    def residual_size(self) -> int:
+        """r."""
 
     @property
     def moving(self) -> tuple[int, ...]:

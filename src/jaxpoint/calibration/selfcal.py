@@ -13,7 +13,6 @@ from jaxpoint.calibration.aspects import with_stated_aspects
 from jaxpoint.calibration.assembly import LOST, assembled
 from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
-from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.initial import Inputs, Start, starts
 from jaxpoint.calibration.lens_checks import with_reach
 from jaxpoint.calibration.objective import Solution, better_by
@@ -22,7 +21,7 @@ from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.recording import Recording
-from jaxpoint.calibration.refinement import Refinement, freedom_of
+from jaxpoint.calibration.refinement import Refinement, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
@@ -125,9 +124,8 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
     recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
     geometry = _pair_geometry(tracks, recording, data, settings, intrinsics, progress)
     pairs = replace(pairs, inliers=geometry.inliers)
-    distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
-    freedom = freedom_of(recording, settings, distortion, intrinsics)
-    lenses = Lenses.of(data, geometry, intrinsics)
+    freedom = freedom_of(recording, settings, intrinsics)
+    lenses = lenses_of(data, geometry, settings, intrinsics)
     inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
     progress("first solution", 0, 1)
     candidates, stages = starts(inputs, settings.init)

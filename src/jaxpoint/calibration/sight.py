@@ -5,15 +5,13 @@ Plain numpy: these answer one question about one rig, and compiling a program wo
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.calibration.bundle import ASPECT, FOCAL, SIZE, BrownModel
-from jaxpoint.calibration.hypotheses import known_numbers
+from jaxpoint.calibration.bundle import CameraModel
+from jaxpoint.camera.parameters import adjusted_lenses, change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
-
-MODEL = BrownModel()
-RADII = 64  # steps in which a lens is followed from its axis outwards
 
 
 def poses(rig: CameraRig) -> tuple[Float[np.ndarray, "C 3 3"], Float[np.ndarray, "C 3"]]:
@@ -30,12 +28,9 @@ def centres(rig: CameraRig) -> Float[np.ndarray, "C 3"]:
 
 def derivatives(
     rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
-) -> tuple[Float[np.ndarray, "B C 2 15"], Float[np.ndarray, "B C 2 3"]]:
-    """Of the pixels by the cameras' numbers, as `bundle` orders them, and by the points; zero where not seen."""
-    rotation, translation = poses(rig)
-    numbers = np.concatenate([translation, known_numbers(rig)], axis=1).T[:, :, None]
-    state = np.moveaxis(rotation, 0, -1)[..., None], numbers  # (3, 3, C, 1), (12, C, 1)
-    _, by_camera, by_point = MODEL.columns(state, points.T[:, None, :], np.zeros(2), np)
+) -> tuple[Float[np.ndarray, "B C 2 p"], Float[np.ndarray, "B C 2 3"]]:
+    """Of the pixels by the adjusted parameters (`camera.parameters`) and by the points; zero where not seen."""
+    _, by_camera, by_point = _columns(rig, points)
     shape = seen.shape[::-1]
     stacked = (
         np.stack([np.stack([np.broadcast_to(entry, shape) for entry in row], axis=-1) for row in rows], axis=-2)
@@ -45,21 +40,20 @@ def derivatives(
     return cameras, places
 
 
-def perturbed_by_numbers(rig: CameraRig) -> Float[np.ndarray, "C 15 15"]:
-    """From the numbers of `bundle` to those of `Camera.perturbed`: log focal, log aspect become fx, fy."""
-    fx, fy = np.asarray(rig.cameras.focal).T
-    turn = np.tile(np.eye(SIZE), (len(rig), 1, 1))
-    turn[:, FOCAL, FOCAL], turn[:, FOCAL, ASPECT] = fx, fx
-    turn[:, ASPECT, FOCAL], turn[:, ASPECT, ASPECT] = fy, 0.0
-    return turn
+def _columns(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> tuple[tuple, tuple, tuple]:
+    """Pixels and their derivatives, component by component (C, B)."""
+    rotation, translation = poses(rig)
+    rest = np.concatenate([translation, adjusted_lenses(rig)], axis=1).T[:, :, None]
+    state = np.moveaxis(rotation, 0, -1)[..., None], rest  # (3, 3, C, 1), (p - 3, C, 1)
+    return CameraModel(type(rig.cameras.lens)).columns(state, points.T[:, None, :], np.zeros(2), np)
 
 
 def derivatives_perturbed(
     rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
-) -> tuple[Float[np.ndarray, "B C 2 15"], Float[np.ndarray, "B C 2 3"]]:
-    """`derivatives`, by the numbers of `Camera.perturbed`."""
+) -> tuple[Float[np.ndarray, "B C 2 p"], Float[np.ndarray, "B C 2 3"]]:
+    """`derivatives`, by the parameters of `Camera.perturbed`."""
     by_camera, by_point = derivatives(rig, points, seen)
-    return by_camera @ np.linalg.inv(perturbed_by_numbers(rig)), by_point
+    return by_camera @ np.linalg.inv(change_by_adjusted(rig)), by_point
 
 
 def cross_terms(
@@ -81,35 +75,24 @@ def covariance_of_points(
 
 
 def in_view(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Bool[np.ndarray, "B C"]:
-    """Whether each camera has each place in its image: before it, within its frame, and where its lens is one-to-one.
+    """Whether each camera has each place in its image: within its frame, and where its lens is one-to-one.
 
     Walls and furniture are unknown here.
     """
-    rotation, translation = poses(rig)
-    local = np.einsum("cij,bj->bci", rotation, points) + translation
-    ahead = local[..., 2] > 1e-9
-    plane = local[..., :2] / np.where(ahead, local[..., 2], 1.0)[..., None]
-    square = (plane**2).sum(axis=-1)
     pixels = project(rig, points)
     sizes = np.asarray(rig.image_sizes)
     inside = ((pixels >= -0.5) & (pixels <= sizes - 0.5)).all(axis=-1)
     if rig.reach is not None:
         inside &= np.linalg.norm(pixels - np.asarray(rig.cameras.center), axis=-1) <= np.asarray(rig.reach)
-    return ahead & inside & (square <= _reach(np.asarray(known_numbers(rig))[:, 4:], square.max(initial=1.0)))
+    return inside & _in_range(rig, points)
 
 
 def project(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B C 2"]:
     """Pixels of places in every camera; meaningless behind one, or beyond the reach of its lens."""
-    rotation, translation = poses(rig)
-    numbers = np.concatenate([translation, known_numbers(rig)], axis=1).T[:, :, None]
-    state = np.moveaxis(rotation, 0, -1)[..., None], numbers
-    pixels, _, _ = MODEL.columns(state, points.T[:, None, :], np.zeros(2), np)
+    pixels, _, _ = _columns(rig, points)
     return np.stack(pixels, axis=-1).swapaxes(0, 1)
 
 
-def _reach(lens: Float[np.ndarray, "C 5"], farthest: float) -> Float[np.ndarray, " C"]:
-    """The squared radius on the z = 1 plane up to which each lens bends farther rays farther out."""
-    square = np.linspace(0.0, min(farthest, 9.0), RADII)
-    k1, k2, k3 = lens[:, 0, None], lens[:, 1, None], lens[:, 4, None]
-    grows = 1 + square * (3 * k1 + square * (5 * k2 + square * 7 * k3)) > 0
-    return np.where(grows.all(axis=1), np.inf, square[np.argmin(grows, axis=1)])
+def _in_range(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Bool[np.ndarray, "B C"]:
+    with jax.enable_x64(True):
+        return np.asarray(rig.sees(points))

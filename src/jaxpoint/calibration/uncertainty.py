@@ -28,7 +28,6 @@ from jaxtyping import Array, Bool, Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import exp1
 
-from jaxpoint.calibration.bundle import SIZE
 from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
@@ -37,10 +36,9 @@ from jaxpoint.calibration.sight import (
     covariance_of_points,
     cross_terms,
     derivatives,
-    perturbed_by_numbers,
     poses,
 )
-from jaxpoint.camera.camera import PARAMETERS
+from jaxpoint.camera.parameters import change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.arrays import AnyArray
@@ -52,24 +50,24 @@ BLOCK = 1024  # points at once
 
 
 class Uncertainty(eqx.Module):
-    """What is known of a rig's error. C cameras, D = 15 C, F frames of the light; in the frame and unit of the rig."""
+    """What is known of a rig's error, in its frame and unit. C cameras of p parameters, D = p C, F frames of light."""
 
     rig: CameraRig
-    covariance: Float[Array, "D D"]  # camera by camera, in the order of `Camera.perturbed`; held numbers have none
+    covariance: Float[Array, "D D"]  # camera by camera, in the order of `Camera.perturbed`; held ones have none
     point_covariance: Float[Array, "F 3 3"]  # of the light's points, each by itself; 0 where there is no point
     sigma_px: Float[Array, ""]  # standard deviation of one pixel coordinate
     gauge: str = eqx.field(static=True)  # what holds the frame: "free" or "landmarks"
 
     @property
-    def camera_sigmas(self) -> Float[Array, "C 15"]:
-        """One standard deviation of every number of every camera, in the order of `Camera.perturbed`."""
-        return jnp.sqrt(jnp.maximum(jnp.diagonal(self.covariance), 0.0)).reshape(-1, PARAMETERS)
+    def camera_sigmas(self) -> Float[Array, "C p"]:
+        """One standard deviation of every parameter of every camera, in the order of `Camera.perturbed`."""
+        return jnp.sqrt(jnp.maximum(jnp.diagonal(self.covariance), 0.0)).reshape(len(self.rig), -1)
 
     @property
-    def own_blocks(self) -> Float[Array, "C 15 15"]:
+    def own_blocks(self) -> Float[Array, "C p p"]:
         """The covariance of every camera by itself."""
         count = len(self.rig)
-        return jnp.einsum("cpcq->cpq", self.covariance.reshape(count, PARAMETERS, count, PARAMETERS))
+        return jnp.einsum("cpcq->cpq", self.covariance.reshape(count, -1, count, self.rig.camera_size))
 
     @property
     def centre_covariance(self) -> Float[Array, "C 3 3"]:
@@ -170,7 +168,7 @@ def uncertainty_of(calibration: Calibration, anchors: Anchors | None = None) -> 
 
 
 def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | None) -> Uncertainty:
-    world, size = calibration.rig, PARAMETERS * len(calibration.rig)
+    world, size = calibration.rig, calibration.rig.camera_size * len(calibration.rig)
     calibration, middle = about_its_middle(calibration)
     rig = calibration.rig
     weighed = freedom.at_noise(calibration.sigma_px)
@@ -181,9 +179,9 @@ def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | 
             "The observations (or the anchors of the frame) do not determine the rig: its covariance is not finite. "
             "Wave the light through more of every camera's view, or name three landmarks or more off one line."
         )
-    turn = perturbed_by_numbers(rig)
-    covariance = found.cameras.reshape(len(rig), SIZE, size)
-    covariance = (turn @ covariance).reshape(size, len(rig), SIZE)
+    turn = change_by_adjusted(rig)
+    covariance = found.cameras.reshape(len(rig), -1, size)
+    covariance = (turn @ covariance).reshape(size, len(rig), -1)
     covariance = np.einsum("dcp,cqp->dcq", covariance, turn).reshape(size, size)
     covariance = covariance_about(world, covariance, -middle)
     gauge = "free" if anchors is None else "landmarks"
@@ -260,18 +258,18 @@ class _Eliminated(NamedTuple):
     cross: Float[np.ndarray, "B 3 D"]  # J_x^T J_c
     moved: Float[np.ndarray, "B 3 D"]
     own: Float[np.ndarray, "B 3 3"]  # covariance of the own error for pixels of variance 1
-    cameras: Float[np.ndarray, "C 15 15"]  # sum of J_c^T J_c
+    cameras: Float[np.ndarray, "C p p"]  # sum of J_c^T J_c
 
 
 def _eliminated(
-    rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"], free: Bool[np.ndarray, "C 15"]
+    rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"], free: Bool[np.ndarray, "C p"]
 ) -> _Eliminated:
     """Some points, and what the cameras that see them say."""
     by_camera, by_point = derivatives(rig, points, seen)
     by_camera = np.where(free[:, None, :], by_camera, 0.0)
     own = covariance_of_points(by_point, seen)
     cross = cross_terms(by_camera, by_point)
-    per_camera = by_camera.transpose(1, 0, 2, 3).reshape(len(free), -1, SIZE)
+    per_camera = by_camera.transpose(1, 0, 2, 3).reshape(len(free), -1, free.shape[1])
     return _Eliminated(cross, -own @ cross, own, np.swapaxes(per_camera, 1, 2) @ per_camera)
 
 
@@ -305,19 +303,19 @@ def point_ways(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
     return ways
 
 
-def camera_ways(rig: CameraRig) -> Float[np.ndarray, "C 15 7"]:
-    """How they move the cameras' numbers so that no pixel changes: w = -R phi, dt = t scale - R shift."""
+def camera_ways(rig: CameraRig) -> Float[np.ndarray, "C p 7"]:
+    """How they move the cameras' parameters so that no pixel changes: w = -R phi, dt = t scale - R shift."""
     rotation, translation = poses(rig)
-    ways = np.zeros((len(rig), PARAMETERS, FREEDOMS))
+    ways = np.zeros((len(rig), rig.camera_size, FREEDOMS))
     ways[:, :3, 3:6], ways[:, 3:6, :3], ways[:, 3:6, 6] = -rotation, -rotation, translation
     return ways
 
 
-def centres_by_numbers(rig: CameraRig) -> Float[np.ndarray, "C 3 15"]:
+def centres_by_numbers(rig: CameraRig) -> Float[np.ndarray, "C 3 p"]:
     """The centre is -R^T t: its change with w and dt is -R^T (dt + t x w)."""
     rotation, translation = poses(rig)
     back = -np.swapaxes(rotation, 1, 2)
-    return np.concatenate([back @ _skews(translation), back, np.zeros((len(rig), 3, PARAMETERS - 6))], axis=2)
+    return np.concatenate([back @ _skews(translation), back, np.zeros((len(rig), 3, rig.camera_size - 6))], axis=2)
 
 
 def _skews(vectors: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 3"]:
@@ -361,9 +359,9 @@ def _held(plain, link, ways, hold, back):
 def _sums(
     calibration: Calibration, freedom: Freedom, seen: Bool[np.ndarray, "F C"], anchoring: Anchoring, variance: float
 ) -> tuple[np.ndarray, np.ndarray, _Gauge]:
-    """Camera blocks (C, 15, 15), what eliminating the points takes from them (D, D), and the sums over anchors."""
+    """Camera blocks (C, p, p), what eliminating the points takes from them (D, D), and the sums over anchors."""
     rig, free, points = calibration.rig, freedom.free, calibration.points
-    own_blocks, taken = np.zeros((len(rig), SIZE, SIZE)), np.zeros((free.size, free.size))
+    own_blocks, taken = np.zeros((len(rig), rig.camera_size, rig.camera_size)), np.zeros((free.size, free.size))
     gauge = _centre_sums(rig, free, anchoring)
     if len(anchoring.clicked):
         parts = _eliminated(rig, anchoring.places, anchoring.visible, free)
@@ -380,7 +378,7 @@ def _blocks(count: int) -> list[slice]:
     return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
 
-def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C 15"], anchoring: Anchoring) -> _Gauge:
+def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C p"], anchoring: Anchoring) -> _Gauge:
     """The share of the camera centres in u; their error is the cameras' alone."""
     weights = anchoring.centres[:, None, None]
     ways = point_ways(centres(rig))

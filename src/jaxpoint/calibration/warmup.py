@@ -12,9 +12,10 @@ import jax
 import numpy as np
 
 from jaxpoint.calibration import factorization, hypotheses, outliers
-from jaxpoint.calibration.bundle import FOCAL, SIZE
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.twoview import NormalisedTracks
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import FOCAL, size_of
 from jaxpoint.config import LensSettings
 
 _compiled: set[tuple[int, ...]] = set()  # shapes whose programs this process has
@@ -52,7 +53,7 @@ def _first_solution(recording: Recording, data: NormalisedTracks) -> None:
 
 def _adjustment(recording: Recording, data: NormalisedTracks) -> None:
     size = len(recording.image_sizes)
-    cameras = np.zeros((size, SIZE))
+    cameras = np.zeros((size, size_of(Brown)))
     cameras[:, FOCAL] = np.log(1000.0)
     state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)))
     usual = Freedom.of(recording, LensSettings(), "radial2")  # of a large rig, what is free is part of the program

@@ -6,13 +6,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.camera.distortion import AbstractDistortion, Brown
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.geometry import rotation as so3
 from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.pose import Pose
 
-PARAMETERS = 15  # of a camera with a Brown lens, in the order of `Camera.perturbed`
+POSE_NAMES = ("rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z")
 
 
 class Camera(eqx.Module):
@@ -21,10 +21,28 @@ class Camera(eqx.Module):
     Its functions take one point or pixel, or any leading axes of them.
     """
 
-    focal: Float[Array, "2"] = eqx.field(converter=as_float)  # px, in x and y
-    center: Float[Array, "2"] = eqx.field(converter=as_float)  # px, principal point
-    distortion: AbstractDistortion
+    lens: AbstractLens
     cam_from_world: Pose
+
+    @property
+    def focal(self) -> Float[Array, "*batch 2"]:
+        """Focal lengths in x and y, px."""
+        return self.lens.focal
+
+    @property
+    def center(self) -> Float[Array, "*batch 2"]:
+        """The principal point, px."""
+        return self.lens.center
+
+    @property
+    def distortion(self) -> Float[Array, "*batch k"]:
+        """The lens's coefficients beyond focal lengths and principal point."""
+        return self.lens.distortion
+
+    @property
+    def size(self) -> int:
+        """How many parameters the camera has: p of the pose and the lens, see `perturbed`."""
+        return len(POSE_NAMES) + self.lens.parameters.shape[-1]
 
     @property
     def intrinsics(self) -> Float[Array, "3 3"]:
@@ -50,53 +68,48 @@ class Camera(eqx.Module):
         return self.cam_from_world.inverse().translation
 
     def project(self, point_world: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 2"]:
-        """Pixel of a world point (m). Finite everywhere, but only meaningful where `depth` is positive."""
-        local = self.cam_from_world @ point_world
-        depth = local[..., 2]
-        tiny = jnp.finfo(depth.dtype).eps
-        safe = jnp.where(jnp.abs(depth) < tiny, tiny, depth)
-        return self.to_pixel(self.distortion.distort(stack_last(local[..., 0] / safe, local[..., 1] / safe)))
+        """Pixel of a world point (m). Finite everywhere, but only meaningful where the camera `sees` it."""
+        return self.lens.project(self.cam_from_world @ point_world)
+
+    def sees(self, point_world: Float[AnyArray, "*batch 3"]) -> Bool[Array, "*batch"]:
+        """Whether a world point lies where the lens is one-to-one; walls and the image's edge are unknown here."""
+        return self.lens.reaches(self.cam_from_world @ point_world)
 
     def depth(self, point_world: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
         """Distance of a world point in front of the camera along its optical axis, m; negative behind."""
         return (self.cam_from_world @ point_world)[..., 2]
 
     def undistort(self, pixel: Float[AnyArray, "*batch 2"]) -> tuple[Float[Array, "*batch 2"], Bool[Array, "*batch"]]:
-        """Where a perfect lens with the same K would see this pixel's ray, px, and whether the lens model has one."""
-        ideal, valid = self.distortion.undistort(self.from_pixel(pixel))
-        return self.to_pixel(ideal), valid
+        """Where a perfect lens with the same K would see this pixel's ray, px, and whether there is such a place."""
+        pixel = as_float(pixel)
+        (x, y, z), valid = self.lens.direction_of(self.lens.parameters, pixel[..., 0], pixel[..., 1])
+        ahead = z > 1e-6
+        z = jnp.where(ahead, z, 1.0)
+        ideal = stack_last(*(self.focal[i] * part / z + self.center[i] for i, part in enumerate((x, y))))
+        return ideal, jnp.broadcast_to(valid & ahead, ideal.shape[:-1])
 
     def ray(self, pixel: Float[AnyArray, "*batch 2"]) -> Ray:
-        """The ray of the world that a pixel sees. Meaningless where `undistort` says that the model has none."""
-        ideal, _ = self.distortion.undistort(self.from_pixel(pixel))
-        x, y = ideal[..., 0], ideal[..., 1]
-        direction = so3.rotate(self.cam_from_world.rotation.T, normalised(stack_last(x, y, jnp.ones_like(x))))
+        """The ray of the world that a pixel sees. Meaningless where the lens has none (`lens.unproject`)."""
+        direction = so3.rotate(self.cam_from_world.rotation.T, self.lens.unproject(pixel)[0])
         return Ray(jnp.broadcast_to(self.position, direction.shape), direction)
 
-    def perturbed(self, change: Float[AnyArray, "15"]) -> Camera:
-        """This camera with its 15 numbers changed a little; covariances of cameras are in this order.
+    def perturbed(self, change: Float[AnyArray, " p"]) -> Camera:
+        """This camera with its parameters changed a little; covariances of cameras are in this order.
 
         A rotation vector w (rad) that acts from the left, R -> exp(w) R; then added: translation (3, m), fx, fy, cx,
-        cy (px), k1, k2, p1, p2, k3.
+        cy (px), and the lens's coefficients: `parameter_names`.
 
         Raises:
-            ValueError: the lens is not a `Brown`.
+            ValueError: the change has another number of entries.
         """
-        if not isinstance(self.distortion, Brown):
-            raise ValueError(f"A camera has 15 numbers only with a Brown lens, and this one's is {self.distortion}.")
         change, pose = as_float(change), self.cam_from_world
+        if change.shape != (self.size,):
+            raise ValueError(f"This camera has {self.size} parameters; the change has the shape {change.shape}.")
         return Camera(
-            self.focal + change[6:8],
-            self.center + change[8:10],
-            Brown(self.distortion.coefficients + change[10:15]),
+            type(self.lens)(self.lens.parameters + change[len(POSE_NAMES) :]),  # pyright: ignore[reportCallIssue]
             Pose(so3.rotate(so3.exp(change[:3]), pose.rotation.T).T, pose.translation + change[3:6]),
         )
 
-    def to_pixel(self, xy: Float[Array, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """Pixel of a place on the z = 1 plane that the lens has already distorted."""
-        return stack_last(*(self.focal[i] * xy[..., i] + self.center[i] for i in range(2)))
-
-    def from_pixel(self, pixel: Float[AnyArray, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """The (still distorted) place of a pixel on the z = 1 plane."""
-        pixel = as_float(pixel)
-        return stack_last(*((pixel[..., i] - self.center[i]) / self.focal[i] for i in range(2)))
+    def parameter_names(self) -> tuple[str, ...]:
+        """Of all parameters in the order of `perturbed`."""
+        return (*POSE_NAMES, *self.lens.parameter_names())

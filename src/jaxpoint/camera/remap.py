@@ -37,5 +37,5 @@ def _map(camera: Camera, matrix: Float[Array, "3 3"], width: int, height: int) -
     column, row = jnp.meshgrid(jnp.arange(width, dtype=matrix.dtype), jnp.arange(height, dtype=matrix.dtype))
     y = (row - matrix[1, 2]) / matrix[1, 1]
     x = (column - matrix[0, 2] - matrix[0, 1] * y) / matrix[0, 0]
-    seen = camera.to_pixel(camera.distortion.distort(stack_last(x, y)))
+    seen = camera.lens.project(stack_last(x, y, jnp.ones_like(x)))
     return seen[..., 0].astype(jnp.float32), seen[..., 1].astype(jnp.float32)

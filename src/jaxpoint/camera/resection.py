@@ -14,8 +14,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from jaxpoint.camera.camera import PARAMETERS, Camera
-from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.parameters import COMMON
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.arrays import AnyArray, as_float, promote
 from jaxpoint.geometry.linalg import null_vector
@@ -155,8 +156,7 @@ def _linear_camera(
 ) -> tuple[Camera, Float[Array, " N"], Float[Array, " 12"]]:
     """The camera, the depths of the points, and the singular values of the linear system."""
     intrinsics, pose = decompose_projection(projection_from_points(points, pixels))
-    none = jnp.zeros(5, dtype=intrinsics.dtype)
-    camera = Camera(jnp.diagonal(intrinsics)[:2], intrinsics[:2, 2], Brown(none), pose)
+    camera = Camera(Brown.of(jnp.diagonal(intrinsics)[:2], intrinsics[:2, 2]), pose)
     rows, _, _ = _rows(points, pixels, jnp.ones_like(points[:, 0]))
     return camera, camera.depth(points), jnp.linalg.svd(rows, compute_uv=False)
 
@@ -170,15 +170,15 @@ def _rms(camera: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N 2"
 def _refine(
     start: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N 2"], lens_terms: int
 ) -> tuple[Camera, Array]:
-    """Levenberg-Marquardt on pixels over the numbers of `Camera.perturbed`, those of the lens as chosen."""
-    free = np.concatenate([np.arange(PARAMETERS - 5), PARAMETERS - 5 + np.array(_LENS_TERMS[lens_terms], dtype=int)])
+    """Levenberg-Marquardt on pixels over the parameters of `Camera.perturbed`, those of the lens as chosen."""
+    free = np.concatenate([np.arange(COMMON), COMMON + np.array(_LENS_TERMS[lens_terms], dtype=int)])
     # Steps of like size: radians, room sizes, and pixels by the focal length.
     focal = jnp.mean(start.focal)
     one = jnp.ones(3, dtype=points.dtype)
     scale = jnp.concatenate([one, one, jnp.tile(focal, 4), jnp.tile(one[:1], 5)])
 
     def camera(change: Array) -> Camera:
-        return start.perturbed(jnp.zeros(PARAMETERS, dtype=points.dtype).at[free].set(change) * scale)
+        return start.perturbed(jnp.zeros(start.size, dtype=points.dtype).at[free].set(change) * scale)
 
     def residuals(change: Array, _: None) -> Array:
         return camera(change).project(points) - pixels

@@ -10,8 +10,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
@@ -34,22 +35,24 @@ class CameraRig(eqx.Module):
     def from_parameters(
         focal: Float[AnyArray, "C 2"],
         center: Float[AnyArray, "C 2"],
-        distortion: Float[AnyArray, "C 5"],
+        distortion: Float[AnyArray, "C k"],
         rotation: Float[AnyArray, "C 3 3"],
         translation: Float[AnyArray, "C 3"],
         image_sizes: Int[AnyArray, "C 2"],
         names: Sequence[str] = (),
+        lens: type[AbstractLens] = Brown,
     ) -> CameraRig:
-        """A rig from stacked numbers.
+        """A rig of cameras with one kind of lens, from stacked parameters.
 
         Args:
             focal: focal lengths in x and y, px.
             center: principal points, px.
-            distortion: k1, k2, p1, p2, k3 (OpenCV's order).
+            distortion: the lens's coefficients; of `Brown` k1, k2, p1, p2, k3 (OpenCV's order).
             rotation: from world to camera.
             translation: from world to camera, m.
             image_sizes: width and height, px.
             names: one each; cam_0, cam_1, ... if left out.
+            lens: of what kind they are.
 
         Raises:
             ValueError: shapes do not fit, a name is used twice, or float64 would be cut to float32.
@@ -57,14 +60,16 @@ class CameraRig(eqx.Module):
         parts = [as_float(part) for part in (focal, center, distortion, rotation, translation)]
         sizes = jnp.asarray(image_sizes, dtype=jnp.int32)
         count = parts[0].shape[0] if parts[0].ndim else 0
-        wanted = [(count, *shape) for shape in ((2,), (2,), (5,), (3, 3), (3,), (2,))]
+        wanted = [(count, *shape) for shape in ((2,), (2,), (len(lens.coefficients),), (3, 3), (3,), (2,))]
         shapes = [part.shape for part in (*parts, sizes)]
         if count == 0 or shapes != wanted:
             raise ValueError(f"The parameters of {count} cameras must have the shapes {wanted}, not {shapes}.")
         names = tuple(names) or tuple(f"cam_{i}" for i in range(count))
         if len(names) != count or len(set(names)) != count:
             raise ValueError(f"{count} cameras need {count} different names, not {list(names)}.")
-        return CameraRig(jax.vmap(_camera)(*parts), sizes, names)
+        focal, center, distortion, rotation, translation = parts
+        cameras = Camera(lens.of(focal, center, distortion), jax.vmap(Pose)(rotation, translation))
+        return CameraRig(cameras, sizes, names)
 
     def __len__(self) -> int:
         """Number of cameras, C."""
@@ -90,6 +95,11 @@ class CameraRig(eqx.Module):
         return (self[i] for i in range(len(self)))
 
     @property
+    def camera_size(self) -> int:
+        """p, the number of parameters of each camera; covariances of the rig have p C rows."""
+        return self.cameras.size
+
+    @property
     def positions(self) -> Float[Array, "C 3"]:
         """Camera centres in the world, m."""
         return _each(self, _position)
@@ -106,6 +116,10 @@ class CameraRig(eqx.Module):
     def depth(self, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch C"]:
         """Distance of world points in front of every camera along its axis, m; negative behind."""
         return _depth(self, as_float(points))
+
+    def sees(self, points: Float[AnyArray, "*batch 3"]) -> Bool[Array, "*batch C"]:
+        """Whether world points (m) lie where each lens is one-to-one; walls and the images' edges are unknown here."""
+        return _sees(self, as_float(points))
 
     def undistort(
         self, pixels: Float[AnyArray, "*batch C 2"]
@@ -137,10 +151,6 @@ class CameraRig(eqx.Module):
         return CameraRig(kept, self.image_sizes[chosen], tuple(self.names[i] for i in index), reach)
 
 
-def _camera(focal: Array, center: Array, distortion: Array, rotation: Array, translation: Array) -> Camera:
-    return Camera(focal, center, Brown(distortion), Pose(rotation, translation))
-
-
 def _position(camera: Camera) -> Array:
     return camera.position
 
@@ -167,6 +177,11 @@ def _project(rig: CameraRig, points: Array) -> Array:
 @jit
 def _depth(rig: CameraRig, points: Array) -> Array:
     return jax.vmap(lambda camera: camera.depth(points), out_axes=-1)(rig.cameras)
+
+
+@jit
+def _sees(rig: CameraRig, points: Array) -> Array:
+    return jax.vmap(lambda camera: camera.sees(points), out_axes=-1)(rig.cameras)
 
 
 @jit

@@ -9,19 +9,22 @@
                   "size": [1280, 720],     width and height, px
                   "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],     px, (0, 0) is the centre of the top-left pixel
                   "distortion": [k1, k2, p1, p2, k3],             OpenCV's order
+                  "lens": "kannala_brandt",                       or "rational", ... where it is not Brown's; the
+                                                                  coefficients are then the model's (`camera`)
                   "rotation": [[...], [...], [...]],              x_camera = rotation x_world + translation,
                   "translation": [x, y, z]}, ...],                camera axes x right, y down, z forward
-     "covariance": null,                   or {"parameters": [...15 names...], "matrix": [[...], ...],
+     "covariance": null,                   or {"parameters": [...p names...], "matrix": [[...], ...],
                                                "gauge": "free" or "landmarks"}
      "time_offsets": {"frames": [0.0, ...], "sigma": [0.0, ...]},      one a camera, only where they were solved for:
                                            by how many frames it shows the light later than the first camera
      "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
 
-`covariance.matrix` is 15C x 15C, the parameters of the first camera first, in the order of `parameters` (that of
+`covariance.matrix` is pC x pC, the parameters of the first camera first, in the order of `parameters` (that of
 `Camera.perturbed`); the rotation is a left perturbation (R = exp(w) R0, rad).
 
 `calibration.toml` holds one table a camera, `cam_0`, `cam_1`, ... in input order, each with `name`, `size`, `matrix`,
-`distortions` (k1, k2, p1, p2, k3), `rotation` (rotation vector) and `translation`, and a table `metadata`.
+`distortions` (k1, k2, p1, p2, k3, or 8 of the rational model; with `fisheye = true` 4), `rotation` (rotation vector)
+and `translation`, and a table `metadata`.
 """
 
 from __future__ import annotations
@@ -38,10 +41,15 @@ import tomli_w
 from jaxtyping import Float
 
 from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.camera.pinhole import Pinhole
+from jaxpoint.camera.rational import Rational
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.errors import FileFormatError
+from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import UNITS, StrPath, natural_key, read_text, replacing
-from jaxpoint.io.lenses import YAML, brown_coefficients, read_yaml_lenses, refuse_other_model
+from jaxpoint.io.lens_entries import read_coefficients
+from jaxpoint.io.lenses import YAML, read_yaml_lenses
 from jaxpoint.io.qualisys import read_qualisys
 from jaxpoint.io.rig_entries import (
     UNSTATED,
@@ -57,10 +65,6 @@ from jaxpoint.io.rig_entries import (
 
 CALIBRATION_FORMAT = "jaxpoint-calibration"
 CALIBRATION_VERSION = 1
-CAMERA_PARAMETERS = (
-    "rotation_x", "rotation_y", "rotation_z", "translation_x", "translation_y", "translation_z",
-    "fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3",
-)  # fmt: skip
 
 
 class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
@@ -135,21 +139,21 @@ def write_calibration_json(
 
     Args:
         unit: of the translations, "m" or "arbitrary".
-        covariance: of all camera parameters, D = 15 C, in the order of `CAMERA_PARAMETERS`.
+        covariance: of all camera parameters, D = p C, in the order of `Camera.perturbed`.
         gauge: what holds its frame, "free" or "landmarks" (see `calibration.uncertainty`).
         provenance: anything JSON can hold.
         time_offsets: of the cameras, where they were solved for.
 
     Raises:
-        ValueError: a number is not finite, a lens is not Brown's, or the covariance has another shape.
+        ValueError: a number is not finite, or the covariance has another shape.
     """
-    size = len(CAMERA_PARAMETERS) * len(rig)
+    size = rig.camera_size * len(rig)
     if covariance is not None and np.shape(covariance) != (size, size):
         raise ValueError(f"The covariance is {np.shape(covariance)}; {len(rig)} cameras need {(size, size)}.")
     check_finite_numbers("covariance", covariance if covariance is not None else 0.0)
     entry = None
     if covariance is not None:
-        entry = _CovarianceEntry(list(CAMERA_PARAMETERS), np.asarray(covariance).tolist(), gauge)
+        entry = _CovarianceEntry(list(rig.cameras.parameter_names()), np.asarray(covariance).tolist(), gauge)
     late = (
         msgspec.UNSET
         if time_offsets is None
@@ -184,14 +188,14 @@ def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration
     if content.unit not in ("m", "arbitrary"):
         raise FileFormatError(f"{path}: unit '{content.unit}' at `$.unit` is neither 'm' nor 'arbitrary'.")
     for i, camera in enumerate(content.cameras):
-        if len(camera.distortion) < 4:
+        if isinstance(camera.lens, msgspec.UnsetType) and len(camera.distortion) < 4:
             raise FileFormatError(f"{path}: `$.cameras[{i}].distortion` must be k1, k2, p1, p2 and k3, five numbers.")
         check_entry(f"{path}: at `$.cameras[{i}]`, ", camera)
     rig = rig_of_entries(path, content.cameras, poses)
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
     late = _time_offsets(path, content.time_offsets, len(rig))
-    return SavedCalibration(rig, content.unit, _covariance(path, entry, len(rig)), gauge, content.provenance, late)
+    return SavedCalibration(rig, content.unit, _covariance(path, entry, rig), gauge, content.provenance, late)
 
 
 def _time_offsets(path: StrPath, entry: _TimeOffsetsEntry | msgspec.UnsetType, cameras: int) -> TimeOffsets | None:
@@ -205,12 +209,13 @@ def _time_offsets(path: StrPath, entry: _TimeOffsetsEntry | msgspec.UnsetType, c
     return TimeOffsets(np.array(entry.frames), np.array(entry.sigma))
 
 
-def _covariance(path: StrPath, entry: _CovarianceEntry | None, cameras: int) -> np.ndarray | None:
+def _covariance(path: StrPath, entry: _CovarianceEntry | None, rig: CameraRig) -> np.ndarray | None:
     if entry is None:
         return None
-    size = len(CAMERA_PARAMETERS) * cameras
-    if entry.parameters != list(CAMERA_PARAMETERS):
-        raise FileFormatError(f"{path}: `$.covariance.parameters` must be {', '.join(CAMERA_PARAMETERS)}.")
+    names, cameras = list(rig.cameras.parameter_names()), len(rig)
+    size = len(names) * cameras
+    if entry.parameters != names:
+        raise FileFormatError(f"{path}: `$.covariance.parameters` must be {', '.join(names)}.")
     if len(entry.matrix) != size or any(len(row) != size for row in entry.matrix):
         raise FileFormatError(f"{path}: `$.covariance.matrix` must be {size} x {size} for {cameras} cameras.")
     return np.array(entry.matrix)
@@ -226,8 +231,11 @@ def write_calibration_toml(
         metadata: further values of `[metadata]`; anipose knows `adjusted` and `error` (px).
 
     Raises:
-        ValueError: a number is not finite, or a lens is not Brown's.
+        ValueError: a number is not finite.
+        UsageError: the format has no place for a lens of this model.
     """
+    if type(rig.cameras.lens) not in (Brown, Pinhole, Rational, KannalaBrandt):
+        raise UsageError(f"calibration.toml has no place for a {rig.cameras.lens.name} lens; use calibration.json.")
     content: dict[str, Any] = {}
     for i, camera in enumerate(entries_of(rig)):
         content[f"cam_{i}"] = {
@@ -237,6 +245,7 @@ def write_calibration_toml(
             "distortions": list(camera.distortion),
             "rotation": cv2.Rodrigues(np.array(camera.rotation))[0].ravel().tolist(),
             "translation": list(camera.translation or ()),
+            **({"fisheye": True} if type(rig.cameras.lens) is KannalaBrandt else {}),
         }
     content["metadata"] = {"adjusted": True, "error": 0.0, "unit": unit, **(metadata or {})}
     with replacing(path) as file:
@@ -250,7 +259,7 @@ def read_calibration_toml(path: StrPath, poses: bool = True) -> SavedCalibration
     `poses` False lets cameras go without.
 
     Raises:
-        FileFormatError: not TOML, no camera, a fish-eye lens, or a missing or wrong value (with its section).
+        FileFormatError: not TOML, no camera, or a missing or wrong value (with its section).
     """
     content = _read_toml(path)
     metadata = content.pop("metadata", {})
@@ -271,7 +280,7 @@ def read_camera_array(path: StrPath, poses: bool = True) -> SavedCalibration:
     """The cameras of caliscope's `camera_array.toml` (metres), named cam_<id>; ignored cameras are left out.
 
     Raises:
-        FileFormatError: not such a file, a fish-eye lens, or a missing or wrong value (with its section).
+        FileFormatError: not such a file, or a missing or wrong value (with its section).
     """
     cameras = [
         _toml_entry(path, f"cameras.{key}", table, f"cam_{key}", poses)
@@ -316,13 +325,12 @@ def _toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
 
 def _toml_entry(path: StrPath, section: str, table: Mapping[str, Any], name: str, poses: bool) -> CameraEntry:
     where = f"{path}, [{section}]: "
-    if table.get("fisheye"):
-        refuse_other_model(where, "fisheye")
     if "distortions" not in table:
         raise FileFormatError(f"{where}'distortions' is missing.")
-    distortion = brown_coefficients(where, table["distortions"])
+    model, distortion = read_coefficients(where, table["distortions"], KannalaBrandt if table.get("fisheye") else None)
     matrix = tuples(_numbers(where, table, "matrix", (3, 3)))
-    entry = CameraEntry(name, _toml_size(where, table), matrix, distortion.tolist(), *_toml_pose(where, table, poses))
+    pose = _toml_pose(where, table, poses)
+    entry = CameraEntry(name, _toml_size(where, table), matrix, distortion.tolist(), *pose, lens=model.name)
     check_entry(where, entry)
     return entry
 

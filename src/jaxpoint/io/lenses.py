@@ -1,18 +1,17 @@
 """Known lenses in files: what a camera's image does, wherever it stands; poses are not needed.
 
 - our `calibration.json`, anipose's and caliscope's `.toml`, with or without poses; Qualisys' `*.qca.txt`;
-- Kalibr's `camchain.yaml` (pinhole, radtan);
+- Kalibr's `camchain.yaml` (pinhole; radtan or equidistant);
 - OpenCV's FileStorage `.yml`/`.yaml` of one camera (`camera_matrix`, `distortion_coefficients`, `image_width`,
   `image_height`), or a folder of such files, each named by its camera.
 
-Only Brown's model with k1, k2, p1, p2, k3 is read; any other is refused by name.
+Which lens models are known `camera.lenses` says; any other is refused by name.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,93 +20,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, natural_key, read_text
+from jaxpoint.io.lens_entries import LensEntry, model_of_name, read_coefficients, rig_of_lenses
 
 YAML = (".yml", ".yaml")
-COEFFICIENTS = 5  # k1, k2, p1, p2, k3
-COUNTS = (0, 1, 2, 4, 5, 8, 12, 14)  # of coefficients that a file may hold
-FIVE = "only Brown's k1, k2, p1, p2, k3 are known: calibrate that lens anew with these five, or calibrate without it"
-
-
-@dataclass(frozen=True)
-class Lens:
-    """One camera's lens."""
-
-    name: str
-    size: tuple[int, int]  # px, width and height
-    focal: tuple[float, float]  # px
-    center: tuple[float, float]  # px
-    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
-
-
-def brown_coefficients(where: str, given: Any) -> Float[np.ndarray, "5"]:
-    """k1, k2, p1, p2, k3 from 0 to 14 coefficients in OpenCV's order.
-
-    Args:
-        where: begins the message, as "FILE, [cam_0]: ".
-        given: the coefficients as they stand in a file.
-
-    Raises:
-        FileFormatError: they are no numbers, or those of a model with more terms.
-    """
-    try:
-        values = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        values = np.full(1, np.nan)
-    if not np.isfinite(values).all() or np.squeeze(values).ndim > 1 or values.size not in COUNTS:
-        raise FileFormatError(f"{where}the distortion must be 4 or 5 finite numbers, k1, k2, p1, p2 and k3.")
-    values = values.ravel()
-    if (values[COEFFICIENTS:] != 0).any():
-        more = ", ".join(f"{value:.3g}" for value in values[COEFFICIENTS:])
-        raise FileFormatError(
-            f"{where}the lens has {values.size} coefficients, as OpenCV's rational model (from k4 on {more}); {FIVE}."
-        )
-    found = np.zeros(COEFFICIENTS)
-    found[: min(values.size, COEFFICIENTS)] = values[:COEFFICIENTS]
-    return found
-
-
-def refuse_other_model(where: str, model: str) -> None:
-    """Refuse a lens model by its name.
-
-    Raises:
-        FileFormatError: it is not Brown's.
-    """
-    if model.lower() not in ("radtan", "plumb_bob", "brown", "none", "opencv", "pinhole", ""):
-        fish = "a fish-eye lens" if model.lower() in ("equidistant", "fisheye", "kannala_brandt") else "this lens"
-        raise FileFormatError(f"{where}{fish} cannot be read (model '{model}'); {FIVE}.")
-
-
-def rig_of_lenses(path: StrPath, lenses: Sequence[Lens]) -> CameraRig:
-    """The lenses as a rig whose poses are all the identity.
-
-    Raises:
-        FileFormatError: there is none, or two have one name.
-    """
-    names = tuple(lens.name for lens in lenses)
-    if not names or len(set(names)) != len(names):
-        raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
-    with jax.enable_x64(True):
-        return CameraRig.from_parameters(
-            focal=np.array([lens.focal for lens in lenses]),
-            center=np.array([lens.center for lens in lenses]),
-            distortion=np.array([lens.distortion for lens in lenses]),
-            rotation=np.tile(np.eye(3), (len(lenses), 1, 1)),
-            translation=np.zeros((len(lenses), 3)),
-            image_sizes=np.array([lens.size for lens in lenses]),
-            names=names,
-        )
 
 
 def read_yaml_lenses(path: StrPath) -> CameraRig:
     """The lenses of a YAML file or of a folder of them: Kalibr's camera chain, or OpenCV's FileStorage.
 
     Raises:
-        FileFormatError: it is neither, a value is missing or wrong, or a lens is of another model than Brown's.
+        FileFormatError: it is neither, a value is missing or wrong, or a lens is of a model that is not known.
     """
     path = Path(path)
     if not path.is_dir():
@@ -116,7 +43,7 @@ def read_yaml_lenses(path: StrPath) -> CameraRig:
     return rig_of_lenses(path, [lens for file in files for lens in _lenses(file)])
 
 
-def _lenses(path: Path) -> list[Lens]:
+def _lenses(path: Path) -> list[LensEntry]:
     text = read_text(path)
     blocks = re.split(r"^([\w-]+):[ \t]*$", text, flags=re.MULTILINE)
     chain = [(name, block) for name, block in zip(blocks[1::2], blocks[2::2]) if "intrinsics:" in block]
@@ -125,7 +52,7 @@ def _lenses(path: Path) -> list[Lens]:
     return [_opencv_lens(path, text)]
 
 
-def _opencv_lens(path: Path, text: str) -> Lens:
+def _opencv_lens(path: Path, text: str) -> LensEntry:
     where = f"{path}: "
     plain = text if text.lstrip().startswith("%YAML") else f"%YAML:1.0\n---\n{text}"
     try:
@@ -143,8 +70,8 @@ def _opencv_lens(path: Path, text: str) -> Lens:
         raise FileFormatError(f"{where}{NO_LENS}")
     if min(size) <= 0:
         raise FileFormatError(f"{where}image_width and image_height are missing; add them (px).")
-    refuse_other_model(where, model)
-    return lens_of(where, path.stem, (size[0], size[1]), matrix.reshape(3, 3), coefficients)
+    named = model_of_name(where, model)
+    return lens_of(where, path.stem, (size[0], size[1]), matrix.reshape(3, 3), coefficients, named)
 
 
 NO_LENS = (
@@ -163,29 +90,42 @@ def _matrix(root: Any, names: Sequence[str]) -> np.ndarray | None:
     return np.array([node.at(i).real() for i in range(node.size())])
 
 
-def lens_of(where: str, name: str, size: tuple[int, int], matrix: np.ndarray, coefficients: Any) -> Lens:
+def lens_of(
+    where: str,
+    name: str,
+    size: tuple[int, int],
+    matrix: np.ndarray,
+    coefficients: Any,
+    model: type[AbstractLens] | None = None,
+) -> LensEntry:
     """A lens from its matrix K and its coefficients.
 
+    Args:
+        model: where the file names it; None for OpenCV's pinhole cameras.
+
     Raises:
-        FileFormatError: K is none, or the coefficients are not Brown's.
+        FileFormatError: K is none, or the coefficients are not the model's.
     """
     k = np.asarray(matrix, float)
     if not np.isfinite(k).all() or min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any():
         raise FileFormatError(f"{where}K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {k.tolist()}.")
-    five = brown_coefficients(where, coefficients)
-    return Lens(name, size, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), tuple(five.tolist()))
+    model, values = read_coefficients(where, coefficients, model)
+    return LensEntry(name, size, (k[0, 0], k[1, 1]), (k[0, 2], k[1, 2]), model, tuple(values.tolist()))
 
 
-def _kalibr_lens(where: str, name: str, block: str) -> Lens:
-    models = [re.search(rf"^\s*{key}:\s*(\S+)", block, re.MULTILINE) for key in ("camera_model", "distortion_model")]
-    for model in filter(None, models):
-        refuse_other_model(where, model[1].strip("'\""))
+def _kalibr_lens(where: str, name: str, block: str) -> LensEntry:
+    camera, bending = (
+        re.search(rf"^\s*{key}:\s*(\S+)", block, re.MULTILINE) for key in ("camera_model", "distortion_model")
+    )
+    names = ["" if found is None else found[1].strip("'\"") for found in (camera, bending)]
+    model_of_name(where, names[0])
+    model = model_of_name(where, names[1])
     fx, fy, cx, cy = _numbers(where, block, "intrinsics", 4)
     width, height = _numbers(where, block, "resolution", 2)
-    bent = models[1] is not None and models[1][1] != "none"
+    bent = bending is not None and names[1] != "none"
     coefficients = _numbers(where, block, "distortion_coeffs", None) if bent else []
     matrix = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
-    return lens_of(where, name, (int(width), int(height)), matrix, coefficients)
+    return lens_of(where, name, (int(width), int(height)), matrix, coefficients, model)
 
 
 def _numbers(where: str, block: str, key: str, count: int | None) -> list[float]:
@@ -221,8 +161,7 @@ def scaled(rig: CameraRig, sizes: np.ndarray) -> CameraRig:
     by = np.asarray(sizes, float) / np.asarray(rig.image_sizes, float)
     with jax.enable_x64(True):
         focal, center = np.asarray(rig.cameras.focal) * by, (np.asarray(rig.cameras.center) + 0.5) * by - 0.5
+        lens = type(rig.cameras.lens).of(focal, center, rig.cameras.distortion)
         return eqx.tree_at(
-            lambda rig: (rig.cameras.focal, rig.cameras.center, rig.image_sizes),
-            rig,
-            (jnp.asarray(focal), jnp.asarray(center), jnp.asarray(sizes, dtype=jnp.int32)),
+            lambda rig: (rig.cameras.lens, rig.image_sizes), rig, (lens, jnp.asarray(sizes, dtype=jnp.int32))
         )

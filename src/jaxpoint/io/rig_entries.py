@@ -12,12 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.result import TimeOffsets
-from jaxpoint.camera.distortion import Brown
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.files import UNITS, StrPath
-from jaxpoint.io.lenses import brown_coefficients
+from jaxpoint.io.lens_entries import common_model, model_of_name, read_coefficients
 
 UNSTATED = "unstated"  # the unit of a file that does not say it
 
@@ -32,6 +33,7 @@ class CameraEntry(msgspec.Struct, forbid_unknown_fields=True):
     distortion: list[float]
     rotation: Matrix3 | None = None
     translation: Vector3 | None = None
+    lens: str | msgspec.UnsetType = msgspec.UNSET  # the model's name; without it OpenCV's of so many coefficients
     reach_px: float | msgspec.UnsetType = msgspec.UNSET  # from the principal point, where the lens model ends
 
 
@@ -41,7 +43,7 @@ class SavedCalibration:
 
     rig: CameraRig
     unit: str = "m"  # of the translations: "m", "arbitrary" or UNSTATED
-    covariance: Float[np.ndarray, "D D"] | None = None  # D = 15 C, see CAMERA_PARAMETERS
+    covariance: Float[np.ndarray, "D D"] | None = None  # D = p C, in the order of `Camera.perturbed`
     gauge: str | None = None  # what holds its frame: "free" or "landmarks"
     provenance: dict[str, Any] = field(default_factory=dict)
     time_offsets: TimeOffsets | None = None
@@ -79,13 +81,23 @@ def tuples(values: np.ndarray) -> Any:
 
 def check_entry(where: str, camera: CameraEntry) -> None:
     k, rotation = np.array(camera.K), np.eye(3) if camera.rotation is None else np.array(camera.rotation)
-    brown_coefficients(where, camera.distortion)
+    lens_of_entry(where, camera)
     if min(camera.size) <= 0:
         raise FileFormatError(f"{where}size {list(camera.size)} must be positive.")
     if min(k[0, 0], k[1, 1]) <= 0 or (k[[0, 1, 2, 2], [1, 0, 0, 1]] != 0).any() or k[2, 2] != 1:
         raise FileFormatError(f"{where}K must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], not {k.tolist()}.")
     if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-4 or np.linalg.det(rotation) < 0:
         raise FileFormatError(f"{where}the rotation is none: R R^T must be the identity and det R = +1.")
+
+
+def lens_of_entry(where: str, camera: CameraEntry) -> tuple[type[AbstractLens], Float[np.ndarray, " k"]]:
+    """The model and coefficients of a camera.
+
+    Raises:
+        FileFormatError: the model is not known, or the coefficients are not its own.
+    """
+    named = None if isinstance(camera.lens, msgspec.UnsetType) else model_of_name(where, camera.lens)
+    return read_coefficients(where, camera.distortion, named)
 
 
 def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> CameraRig:
@@ -99,16 +111,18 @@ def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> Ca
             "(--intrinsics), and use the calibration that comes out."
         )
     k = np.array([camera.K for camera in cameras])
+    model, distortion = common_model(str(path), *zip(*(lens_of_entry("", camera) for camera in cameras)))
     reach = np.array([np.inf if isinstance(c.reach_px, msgspec.UnsetType) else c.reach_px for c in cameras])
     with jax.enable_x64(True):
         rig = CameraRig.from_parameters(
             focal=k[:, [0, 1], [0, 1]],
             center=k[:, :2, 2],
-            distortion=np.array([brown_coefficients("", camera.distortion) for camera in cameras]),
+            distortion=distortion,
             rotation=np.array([camera.rotation or np.eye(3) for camera in cameras]),
             translation=np.array([camera.translation or np.zeros(3) for camera in cameras]),
             image_sizes=np.array([camera.size for camera in cameras]),
             names=names,
+            lens=model,
         )
         return replace(rig, reach=jnp.asarray(reach)) if np.isfinite(reach).any() else rig
 
@@ -121,9 +135,8 @@ def entries_of(rig: CameraRig) -> list[CameraEntry]:
     k = np.tile(np.eye(3), (count, 1, 1))
     k[:, [0, 1], [0, 1]] = focal
     k[:, :2, 2] = center
-    if not isinstance(cameras.distortion, Brown):
-        raise ValueError(f"Only Brown's distortion can be written, not {type(cameras.distortion).__name__}.")
-    distortion = np.asarray(cameras.distortion.coefficients, float)
+    model = type(cameras.lens)
+    distortion = np.asarray(cameras.distortion, float)
     rotation = np.asarray(cameras.cam_from_world.rotation, float)
     translation = np.asarray(cameras.cam_from_world.translation, float)
     sizes = np.asarray(rig.image_sizes).astype(int)
@@ -131,7 +144,12 @@ def entries_of(rig: CameraRig) -> list[CameraEntry]:
         check_finite_numbers(name, values)
     reach = np.full(count, np.inf) if rig.reach is None else np.asarray(rig.reach, float)
     return [
-        CameraEntry(name, *map(tuples, parts), reach_px=float(end) if np.isfinite(end) else msgspec.UNSET)
+        CameraEntry(
+            name,
+            *map(tuples, parts),
+            lens=msgspec.UNSET if model is Brown else model.name,
+            reach_px=float(end) if np.isfinite(end) else msgspec.UNSET,
+        )
         for name, end, *parts in zip(rig.names, reach, sizes, k, distortion, rotation, translation)
     ]
 

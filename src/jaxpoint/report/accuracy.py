@@ -11,7 +11,6 @@ from jaxtyping import Float, Int
 from jaxpoint.calibration.expected import ADDED, Gain, boxes_of, eighths, expected_error, gains
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.uncertainty import centres_by_numbers, variance_px2
-from jaxpoint.camera.camera import PARAMETERS
 from jaxpoint.report.advice import Advice
 from jaxpoint.report.summary import Scene, Summary
 from jaxpoint.report.tables import Table
@@ -124,12 +123,12 @@ def _grid(scene: Scene, height: float) -> tuple[np.ndarray, np.ndarray, Float[np
 
 
 def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
-    """One row a camera: its numbers with one standard deviation each."""
+    """One row a camera: its parameters with one standard deviation each."""
     covariance = calibration.camera_covariance
     if covariance is None:
         return None
     count, aligned = len(summary.names), summary.scene.unit == "m"
-    blocks = np.einsum("cpcq->cpq", covariance.reshape(count, PARAMETERS, count, PARAMETERS))
+    blocks = np.einsum("cpcq->cpq", covariance.reshape(count, -1, count, calibration.rig.camera_size))
     sigma = np.sqrt(np.maximum(np.einsum("cpp->cp", blocks), 0.0))
     turn = np.eye(3) if aligned else summary.scene.levelling()[0]
     by_numbers = turn @ centres_by_numbers(calibration.rig)

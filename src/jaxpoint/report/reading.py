@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.camera.distortion import AbstractDistortion
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.compilation import jit_once
-from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.report.summary import Lens, Scene, Summary
 
 _STEPS = 400
@@ -33,7 +33,7 @@ def summarise(calibration: Calibration) -> Summary:
 
     def distort(places: np.ndarray) -> np.ndarray:
         with jax.enable_x64(True):
-            return np.asarray(_distorted(cameras.distortion, places))
+            return np.asarray(_distort(cameras.lens, jnp.asarray(places)))
 
     return Summary(
         names=tracks.names,
@@ -50,17 +50,21 @@ def summarise(calibration: Calibration) -> Summary:
         shared=np.asarray(calibration.pairs.shared),
         focal=focal,
         center=center,
-        distortion=np.concatenate(
-            [np.reshape(leaf, (len(focal), -1)) for leaf in jax.tree.leaves(cameras.distortion)], 1
-        ),
+        distortion=np.asarray(cameras.distortion),
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
     )
 
 
 @jit_once
-def _distorted(lenses: AbstractDistortion, places: Float[AnyArray, "C N 2"]) -> Float[Array, "C N 2"]:
-    return jax.vmap(lambda lens, xy: lens.distort(xy))(lenses, places)
+def _distort(lenses: AbstractLens, places: Float[Array, "C N 2"]) -> Float[Array, "C N 2"]:
+    """Where places on the z = 1 planes are seen, in focal lengths from the principal points."""
+
+    def one(lens: AbstractLens, xy: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
+        seen = lens.project(jnp.concatenate([xy, jnp.ones_like(xy[:, :1])], axis=1))
+        return (seen - lens.center) / lens.focal
+
+    return jax.vmap(one)(lenses, places)
 
 
 def pixel_slopes(
@@ -123,4 +127,6 @@ def _marks(radius, outwards, corner: float, seen: float) -> tuple[float, float, 
     turning = radius[last] if falling.size else np.inf
     # Pixels are distorted: their radius is led back along the rising part of the curve.
     back = np.interp([corner, seen], outwards[: last + 1], radius[: last + 1], right=np.inf)
+    if not falling.size:  # a lens that sees sideways reaches corners that no place on the plane has
+        back = np.minimum(back, radius[-1])
     return turning, back[0], back[1]
