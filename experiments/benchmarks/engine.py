@@ -28,6 +28,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration import bundle, parallel
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, chosen_coefficients, size_of
 from jaxpoint.compilation import keep_programs
 
 TOLERANCE = 1e-8
@@ -136,10 +138,9 @@ def dense(problem: BundleProblem, block: int) -> tuple[np.ndarray, np.ndarray, n
 
 def free_of(parameters: int) -> np.ndarray:
     """Which numbers of the engine's camera the lens moves."""
-    free = np.ones(9 if parameters == 9 else bundle.SIZE, bool)
+    free = np.ones(9 if parameters == 9 else size_of(Brown), bool)
     if parameters == 11:
-        free[[bundle.ASPECT, bundle.K3]] = False
-        free[bundle.TANGENTIAL] = False
+        free[ASPECT], free[COEFFICIENTS] = False, chosen_coefficients(Brown, ("k1", "k2"))
     return free
 
 
@@ -149,13 +150,13 @@ def as_unknown(problem: BundleProblem) -> tuple[np.ndarray, np.ndarray]:
     if problem.parameters == 9:
         numbers = problem.cameras.copy()
     else:
-        numbers = np.zeros((len(problem.cameras), bundle.SIZE))
+        numbers = np.zeros((len(problem.cameras), size_of(Brown)))
         focals = problem.parameters == 15
         lens = problem.cameras[:, 7 + focals :]
         numbers[:, 3:6] = problem.cameras[:, 3:6]
-        numbers[:, bundle.FOCAL] = np.log(problem.cameras[:, 6 + focals])
-        numbers[:, bundle.ASPECT] = np.log(problem.cameras[:, 6] / problem.cameras[:, 6 + focals])
-        numbers[:, bundle.CENTER.start : bundle.CENTER.start + lens.shape[1]] = lens
+        numbers[:, FOCAL] = np.log(problem.cameras[:, 6 + focals])
+        numbers[:, ASPECT] = np.log(problem.cameras[:, 6] / problem.cameras[:, 6 + focals])
+        numbers[:, CENTER.start : CENTER.start + lens.shape[1]] = lens
     numbers[:, :3] = 0.0
     return numbers, base
 
@@ -166,9 +167,9 @@ def as_cameras(numbers: np.ndarray, base: np.ndarray, parameters: int) -> np.nda
     pose = np.concatenate([turned.as_rotvec(), numbers[:, 3:6]], axis=1)
     if parameters == 9:
         return np.concatenate([pose, numbers[:, 6:]], axis=1)
-    focal = np.exp(numbers[:, bundle.FOCAL])
-    focals = [focal] if parameters == 11 else [focal * np.exp(numbers[:, bundle.ASPECT]), focal]
-    lens = numbers[:, bundle.CENTER.start : bundle.CENTER.start + parameters - 6 - len(focals)]
+    focal = np.exp(numbers[:, FOCAL])
+    focals = [focal] if parameters == 11 else [focal * np.exp(numbers[:, ASPECT]), focal]
+    lens = numbers[:, CENTER.start : CENTER.start + parameters - 6 - len(focals)]
     return np.concatenate([pose, np.stack(focals, axis=1), lens], axis=1)
 
 

@@ -19,22 +19,22 @@ from scipy.spatial.transform import Rotation  # noqa: E402
 
 from jaxpoint.calibration import bundle, parallel  # noqa: E402
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns  # noqa: E402
+from jaxpoint.camera.brown import Brown  # noqa: E402
+from jaxpoint.camera.parameters import CENTER, FOCAL, size_of  # noqa: E402
 
 
 def room():
     """Four cameras on a ring about a cloud of points; every process makes all of it and takes its part."""
     rng = np.random.default_rng(0)
     base = Rotation.from_euler("y", np.arange(4)[:, None]).as_matrix()
-    cameras = np.zeros((4, bundle.size_of(Brown)))
-    cameras[:, 5], cameras[:, bundle.FOCAL], cameras[:, bundle.CENTER] = 5.0, np.log(800.0), (640.0, 360.0)
+    cameras = np.zeros((4, size_of(Brown)))
+    cameras[:, 5], cameras[:, FOCAL], cameras[:, CENTER] = 5.0, np.log(800.0), (640.0, 360.0)
     points = rng.uniform(-1.0, 1.0, (FRAMES, 3))
     local = np.einsum("cij,fj->fci", base, points) + cameras[:, 3:6]
-    pixels = 800.0 * local[..., :2] / local[..., 2:] + cameras[:, bundle.CENTER] + rng.normal(0, 0.5, (FRAMES, 4, 2))
+    pixels = 800.0 * local[..., :2] / local[..., 2:] + cameras[:, CENTER] + rng.normal(0, 0.5, (FRAMES, 4, 2))
     seen = (rng.random((FRAMES, 4)) < 0.8).astype(float)
     seen[:, :2] = 1.0  # a point that one camera alone sees has no optimum
-    moved = cameras + np.where(
-        np.arange(bundle.size_of(Brown)) < 6, rng.normal(0, 0.01, (4, bundle.size_of(Brown))), 0.0
-    )
+    moved = cameras + np.where(np.arange(size_of(Brown)) < 6, rng.normal(0, 0.01, (4, size_of(Brown))), 0.0)
     return moved, base, pixels, seen, points + rng.normal(0, 0.02, points.shape)
 
 
@@ -46,7 +46,7 @@ def main():
         bundle.to_blocks(pixels[own]),
         bundle.to_blocks(seen[own]),
         base,
-        np.ones((4, bundle.size_of(Brown)), bool),
+        np.ones((4, size_of(Brown)), bool),
         cameras,
         weight,
         np.array(bundle.LEAST_SQUARES),
@@ -60,7 +60,7 @@ def main():
     found = {
         "cost": float(end.cost),
         "settled": bool(end.settled),
-        "focals": numbers[:, bundle.FOCAL].tolist(),
+        "focals": numbers[:, FOCAL].tolist(),
         "positions": numbers[:, 3:6].tolist(),
         "points": bundle.from_blocks(parallel.local_blocks(end.points)).tolist(),
         "bytes": [shard.data.nbytes for shard in problem.pixels.addressable_shards],
