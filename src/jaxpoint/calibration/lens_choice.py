@@ -20,6 +20,7 @@ SIMPLE, RICH, FISHEYE = "radial2", "brown", "fisheye"  # settings of `lens.disto
 LEAST_GAIN = 0.05  # of the mean held-out error: less is not worth a flatter valley of the focal lengths
 STRETCHES = 40
 LEAST_EVIDENCE = 3.0  # standard errors of the mean difference
+LEAST_DOUBT = 1.5  # standard errors of the same, from which another kind of lens is tried too
 WIDE = 0.85  # focal lengths from the principal point: cameras that see less are taken as Brown's
 FAR_SHARE = 0.98  # of a camera's observations lie within the radius by which it counts as wide
 WORTH = 4.0  # fall of the objective for every coefficient more (twice what Akaike 1974 asks: lenses are alike)
@@ -30,7 +31,8 @@ def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSet
     if solution.state.lens is not lens_of_choice(SIMPLE)[0]:
         return solution, []  # chosen before another prior was given up
     solution, stage = _choose_terms(recording, solution, settings)
-    if not _is_wide(recording, solution.state):
+    doubtful = stage.figures.get("gain_in_standard_errors", 0.0) > LEAST_DOUBT
+    if not doubtful and not _is_wide(recording, solution.state):
         return solution, [stage]
     return _choose_fisheye(recording, solution, settings, stage)
 

@@ -57,8 +57,8 @@ def prior_findings(calibration: Calibration, normal: NormalEquations | None) -> 
 def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Finding]:
     """What priors that were given up say of the cameras."""
     count, sizes = len(rig), np.asarray(rig.image_sizes)
-    looser = np.asarray((after.prior_weight < before.prior_weight)[:count, CENTER].any(axis=1))
-    looser |= (after.prior_mean != before.prior_mean)[:count, CENTER].any(axis=1)
+    looser = np.asarray((after.prior_weight[:count, CENTER] < before.prior_weight[:count, CENTER]).any(axis=1))
+    looser |= (after.prior_mean[:count, CENTER] != before.prior_mean[:count, CENTER]).any(axis=1)
     looser &= ~given_lenses(before)[:count]
     if looser.any():
         chosen = _named(rig, looser)
