@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
-from jaxpoint.calibration.aspects import aspect_patterns
+from jaxpoint.calibration.aspects import aspect_patterns, aspect_text
 from jaxpoint.calibration.assembly import assembled
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
@@ -30,7 +30,8 @@ FREE_CENTER = 0.5  # of the image width: sigma of a principal point whose prior 
 FREE_ASPECT = 0.3  # sigma of a log aspect that is free: beyond the widest standard, 64/45
 WEAKLY_KNOWN = 0.02  # sigma of a log aspect from which a score test has no power: standard aspects are tried instead
 ALIKE = (16 / 15, 4 / 3)  # tried for all cameras alike: the smallest and one of the largest
-OPEN = 3.0  # an aspect of 4/3 that is worse by less cannot be distinguished from square pixels (square ones: 5 to 200)
+OPEN = 3.0  # an aspect that is worse by less cannot be distinguished from square pixels (of square ones 4/3 is worse by
+# 5 to 950, 16/15 by 9 to 23 where it is tried)
 LEAST_ASPECT = 0.04  # change of a log aspect worth a trial; the standard nearest to square is at 0.065
 WORTH_CENTER, WORTH_ASPECT = 4.0, 9.0  # least fall of the objective for a prior to be given up: 2 and 3 sigmas,
 WORTH_EACH = 2.0  # and so much more for every parameter that this frees (Akaike 1974)
@@ -166,7 +167,10 @@ class PriorChoice:
             if best.freedom.free[:, ASPECT].any():
                 best = self._standard(best)
             if not doubts.any_center and best.freedom.free[:, ASPECT].any():
-                break  # lenses that no model describes ask for odd aspects too (strawlab2010: 0.95)
+                # Lenses that no model describes ask for odd aspects too, and precisely (strawlab2010: 0.95).
+                if doubts.aspects_sigma > WEAKLY_KNOWN:
+                    self.findings.append(self._undecided_aspect("refutes square pixels, and several others fit"))
+                break
             solution = best
         return solution, tuple(stages)
 
@@ -197,17 +201,25 @@ class PriorChoice:
 
     def _open_aspect(self, trials: list[Solution], solution: Solution) -> Iterator[Finding]:
         """That anamorphic pixels would fit as well as square ones."""
-        last = trials[-1]
-        if _pinned(last.freedom).any() and better_by(last, solution) > -OPEN:
-            yield Finding(
-                "pixel aspect",
-                "bad",
-                "All cameras stand upright and look level, so that the recording does not tell the pixel aspect: "
-                "pixels 4/3 times as wide as high fit as well as square ones.",
-                "State the aspect (--lens.aspect fixed where the pixels are square, as in nearly all cameras; 16/15 "
-                "for PAL video), or record again with one camera turned on its side",
-                self.tracks.names,
-            )
+        for trial in trials:
+            new = _pinned(trial.freedom) & ~_pinned(solution.freedom)
+            if new.any() and better_by(trial, solution) > -OPEN:
+                aspect = float(np.exp(-trial.freedom.prior_mean[new, ASPECT][0]))
+                yield self._undecided_aspect(
+                    f"does not tell the pixel aspect: pixels {aspect_text(aspect)} times as wide as high fit as well "
+                    "as square ones"
+                )
+                return
+
+    def _undecided_aspect(self, why: str) -> Finding:
+        return Finding(
+            "pixel aspect",
+            "bad",
+            f"The recording {why}; cameras that stand upright and look level, or too few of them, leave it open.",
+            "State the aspect (--lens.aspect fixed where the pixels are square, as in nearly all cameras; 16/15 for "
+            "PAL video), or record again with one camera turned on its side",
+            self.tracks.names,
+        )
 
     def _solved(self, state: RigState, freedom: Freedom) -> Solution:
         return solve_with(self.recording, state, freedom, self.settings.outliers)
