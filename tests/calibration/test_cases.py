@@ -7,6 +7,8 @@ import pytest
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.tracks import read_tracks
 from jaxpoint.triangulation import Flag, triangulate
 
@@ -15,10 +17,11 @@ from jaxpoint.triangulation import Flag, triangulate
 def solve(data_folder):
     """The calibration of a case and what is decided of it."""
 
-    def solved(name):
+    def solved(name, **lens):
+        settings = CalibrateSettings(lens=LensSettings(**lens))
         with jax.enable_x64(True):
-            found = with_covariance(calibrate(read_tracks(data_folder.parent / "cases" / name)))
-            return found, assess(found)
+            found = with_covariance(calibrate(read_tracks(data_folder.parent / "cases" / name), settings))
+            return found, assess(found, settings)
 
     return solved
 
@@ -57,8 +60,17 @@ def test_a_late_camera_is_left_out_and_the_flag_given(solve):
     assert "--offset cam_2=41" in str(quality.failure)
 
 
-def test_a_lens_wider_than_the_model_is_named_and_places_beyond_it_are_flagged(solve):
+def test_wide_lenses_come_right_as_fisheyes(solve):
     found, quality = solve("01-wide-lenses/ceil150.csv")
+    assert quality.passed
+    assert type(found.rig.cameras.lens) is KannalaBrandt
+    assert found.rig.reach is None
+    np.testing.assert_allclose(found.rig.cameras.focal, 640 / np.deg2rad(75), rtol=0.005)  # equidistant, 150 degrees
+    assert found.kept.sum() > 0.98 * found.tracks.visible.sum()  # 2 % are gross outliers
+
+
+def test_a_lens_wider_than_the_model_is_named_and_places_beyond_it_are_flagged(solve):
+    found, quality = solve("01-wide-lenses/ceil150.csv", distortion="radial2")
     assert quality.causes == ("lens model",)
     assert found.rig.reach is not None
     with jax.enable_x64(True):

@@ -21,7 +21,7 @@ from jaxpoint.calibration.outliers import Settled, grow, settle
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.recording import Recording
-from jaxpoint.calibration.refinement import Refinement, freedom_of, lenses_of
+from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
@@ -154,7 +154,7 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
 
 def _pair_geometry(tracks, recording, data, settings, intrinsics, progress: Progress) -> TwoViewGeometry:
     """Two-view geometry of all pairs, while later programs compile."""
-    compiling = WarmUp(recording, data)
+    compiling = WarmUp(recording, data, first_choice(settings, intrinsics))
     epipolar = settings.epipolar
     if intrinsics is not None:
         epipolar = replace(epipolar, division_model=False)

@@ -14,21 +14,24 @@ import numpy as np
 from jaxpoint.calibration import factorization, hypotheses, outliers
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.twoview import NormalisedTracks
-from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.parameters import FOCAL, size_of
 from jaxpoint.config import LensSettings
 
-_compiled: set[tuple[int, ...]] = set()  # shapes whose programs this process has
+_compiled: set[tuple[int | str, ...]] = set()  # shapes whose programs this process has
 
 
 class WarmUp:
     """Compilations under way. Wait for them before calling the programs, or they are compiled twice."""
 
-    def __init__(self, recording: Recording, data: NormalisedTracks):
-        shape = recording.visible.shape
+    def __init__(self, recording: Recording, data: NormalisedTracks, choice: str):
+        """Of the lens that this setting of `lens.distortion` asks for."""
+        shape = (*recording.visible.shape, choice)
         tasks = () if shape in _compiled else (_first_solution, _adjustment)
         _compiled.add(shape)
-        self._threads = [threading.Thread(target=_run, args=(task, recording, data), daemon=True) for task in tasks]
+        self._threads = [
+            threading.Thread(target=_run, args=(task, recording, data, choice), daemon=True) for task in tasks
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -38,12 +41,12 @@ class WarmUp:
             thread.join()
 
 
-def _run(task, recording, data) -> None:
+def _run(task, recording, data, choice: str) -> None:
     with jax.enable_x64(True):
-        task(recording, data)
+        task(recording, data, choice)
 
 
-def _first_solution(recording: Recording, data: NormalisedTracks) -> None:
+def _first_solution(recording: Recording, data: NormalisedTracks, choice: str) -> None:
     nothing = np.zeros(data.visible.shape, bool)
     lenses = np.zeros(recording.cameras)
     start = factorization.factorise(data, lenses, nothing, np.random.default_rng(0))
@@ -51,11 +54,11 @@ def _first_solution(recording: Recording, data: NormalisedTracks) -> None:
     hypotheses.compile_upgrade(recording, data)
 
 
-def _adjustment(recording: Recording, data: NormalisedTracks) -> None:
-    size = len(recording.image_sizes)
-    cameras = np.zeros((size, size_of(Brown)))
+def _adjustment(recording: Recording, data: NormalisedTracks, choice: str) -> None:
+    size, (lens, _) = len(recording.image_sizes), lens_of_choice(choice)
+    cameras = np.zeros((size, size_of(lens)))
     cameras[:, FOCAL] = np.log(1000.0)
-    state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)))
-    usual = Freedom.of(recording, LensSettings(), "radial2")  # of a large rig, what is free is part of the program
+    state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)), lens)
+    usual = Freedom.of(recording, LensSettings(), choice)  # of a large rig, what is free is part of the program
     adjust(recording, state, np.zeros(recording.visible.shape, bool), usual, loss_scale=1.0, steps=1)
     outliers.judge(recording, state, 1.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
@@ -16,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm, stack_last
 
 Parameters: TypeAlias = Any  # p arrays, or one with p entries on its first axis, that broadcast with the directions
@@ -86,7 +88,7 @@ class AbstractLens(eqx.Module):
         """
         if xp is np:
             with jax.enable_x64(True):
-                return jax.tree.map(np.asarray, _differentiate(cls, parameters, direction))
+                return jax.tree.map(np.asarray, _differentiate_once(cls, list(parameters), tuple(direction)))
         return _differentiate(cls, parameters, direction)
 
     @classmethod
@@ -141,6 +143,11 @@ class AbstractLens(eqx.Module):
 def split(direction: Float[Array, "*batch 3"]) -> tuple[Array, Array, Array]:
     """The three components of directions."""
     return direction[..., 0], direction[..., 1], direction[..., 2]
+
+
+@partial(jit_once, static_argnums=0)
+def _differentiate_once(lens: type[AbstractLens], parameters: Parameters, direction: Vector) -> Slopes:
+    return _differentiate(lens, parameters, direction)
 
 
 def _differentiate(lens: type[AbstractLens], parameters: Parameters, direction: Vector) -> Slopes:

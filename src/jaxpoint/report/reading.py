@@ -62,7 +62,7 @@ def _distort(lenses: AbstractLens, places: Float[Array, "C N 2"]) -> Float[Array
 
     def one(lens: AbstractLens, xy: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
         seen = lens.project(jnp.concatenate([xy, jnp.ones_like(xy[:, :1])], axis=1))
-        return (seen - lens.center) / lens.focal
+        return (seen - lens.center[None]) / lens.focal[None]
 
     return jax.vmap(one)(lenses, places)
 
