@@ -265,7 +265,7 @@ def plane_direction(
     wanted = visible.T
     both = jnp.concatenate([pixels[:, 0], pixels[:, 1]], axis=2)  # one program for both ends
     twice = jnp.concatenate([wanted, wanted], axis=1)
-    (u, v, _), _ = cameras.lens.direction_of(cameras.lens.parameters, *both, twice)
+    (u, v, _), _ = cameras.lens.direction_of(cameras.lens.parameters, both[0], both[1], twice)
     (u0, u1), (v0, v1) = jnp.split(u, 2, axis=1), jnp.split(v, 2, axis=1)
     r = cameras.cam_from_world.rotation
     rays = [jnp.stack([u * r[0, i] + v * r[1, i] + r[2, i] for i in range(3)]) for u, v in ((u0, v0), (u1, v1))]

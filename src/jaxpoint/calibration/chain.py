@@ -99,7 +99,7 @@ class Chain(eqx.Module):
             self.loss_scale,
             jnp.asarray(STEPS),
         )
-        solver = SchurLevenbergMarquardt(CameraModel(self.lens), rtol=RTOL, xtol=XTOL)
+        solver = SchurLevenbergMarquardt(model=CameraModel(self.lens), rtol=RTOL, xtol=XTOL)
         return self._rig_of(optimum(solver, self.start, problem).cameras)
 
     def _rig_of(self, cameras: Float[Array, "C p"]) -> CameraRig:

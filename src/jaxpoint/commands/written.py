@@ -62,7 +62,9 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
         )
         for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
     ]
-    header = ("camera", "focal px", "centre px", "k1", "kept", "mean px")
+    first_coefficient = next(iter(calibration.rig.cameras.lens.coefficients), None)
+    first_coefficient = "distortion" if first_coefficient is None else first_coefficient.name
+    header = ("camera", "focal px", "centre px", first_coefficient, "kept", "mean px")
     late = calibration.time_offsets
     if late is not None:
         header = (*header, f"frames after {rows[0][0]}")

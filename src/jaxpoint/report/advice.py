@@ -146,8 +146,8 @@ def on_outliers(
             yield Advice(
                 f"Camera {name} has {beyond:.0%} of its observations rejected that lie more than {limit:.0f} px from "
                 f"the middle of its image, and {within:.0%} of the others.",
-                "The lens bends more there than its model: ask for more terms "
-                '(lens.distortion = "brown"), or leave out what lies beyond.',
+                "The lens bends more there than its model: ask for another "
+                '(lens.distortion = "brown" or "fisheye"), or leave out what lies beyond.',
                 urgent=bool(rate[camera] - within > _EDGE * (beyond - within)),
             )
             continue  # so neither a reflection nor a touched camera is the cause
@@ -290,8 +290,8 @@ def on_lenses(names: Sequence[str], lens: Lens) -> Iterator[Advice]:
         yield Advice(
             f"The lens model of camera {names[camera]} stops growing {lens.turning[camera]:.0f} px from its middle, "
             "before the image corner.",
-            "Pixels beyond cannot be undistorted, though the light was there: the lens is too wide for this model; do "
-            "not use the edge of that image."
+            "Pixels beyond cannot be undistorted, though the light was there: the lens is too wide for this model; "
+            'try a fisheye (lens.distortion = "fisheye"), or do not use the edge of that image.'
             if reached
             else "Pixels beyond cannot be undistorted: wave the light into the corners of that image, or ask for fewer "
             'distortion terms (lens.distortion = "radial1").',

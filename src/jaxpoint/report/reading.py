@@ -51,6 +51,8 @@ def summarise(calibration: Calibration) -> Summary:
         focal=focal,
         center=center,
         distortion=np.asarray(cameras.distortion),
+        lens_model=cameras.lens.name,
+        view_deg=_views_deg(cameras.lens, tracks.image_sizes),
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),
     )
@@ -65,6 +67,22 @@ def _distort(lenses: AbstractLens, places: Float[Array, "C N 2"]) -> Float[Array
         return (seen - lens.center[None]) / lens.focal[None]
 
     return jax.vmap(one)(lenses, places)
+
+
+def _views_deg(lenses: AbstractLens, sizes: Int[np.ndarray, "C 2"]) -> Float[np.ndarray, " C"]:
+    """The angle of view of each camera across its image, deg."""
+    with jax.enable_x64(True):
+        left, right = (
+            np.asarray(_edge_directions(lenses, jnp.asarray(x))) for x in (0.0 * sizes[:, 0], sizes[:, 0] - 1.0)
+        )
+    off = np.arctan2(np.stack([-left[:, 0], right[:, 0]]), np.stack([left[:, 2], right[:, 2]]))
+    return np.rad2deg(off.sum(axis=0))
+
+
+@jit_once
+def _edge_directions(lenses: AbstractLens, columns: Float[Array, " C"]) -> Float[Array, "C 3"]:
+    """What each camera sees in a column, at the height of its principal point."""
+    return jax.vmap(lambda lens, x: lens.unproject(jnp.stack([x, lens.center[1]]))[0])(lenses, columns)
 
 
 def pixel_slopes(

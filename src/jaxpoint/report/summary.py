@@ -90,7 +90,9 @@ class Summary:
     shared: Int[np.ndarray, "C C"]
     focal: Float[np.ndarray, "C 2"]
     center: Float[np.ndarray, "C 2"]
-    distortion: Float[np.ndarray, "C K"]  # the lens model's own numbers
+    distortion: Float[np.ndarray, "C K"]  # the lens model's coefficients
+    lens_model: str  # its name
+    view_deg: Float[np.ndarray, " C"]  # between what the middles of the left and right edges see
     scene: Scene
     lens: Lens
 

@@ -91,20 +91,25 @@ def lens_table(summary: Summary, late: TimeOffsets | None = None) -> Table:
     rows = []
     for c, name in enumerate(summary.names):
         fx, fy = summary.focal[c]
-        angle = np.rad2deg(2 * np.arctan(summary.sizes[c, 0] / 2 / fx))
         rows.append([
             name,
             "{} × {}".format(*summary.sizes[c]),
             f"{fx:.1f}" if abs(fx - fy) < 1e-9 * fx else f"{fx:.1f}, {fy:.1f}",
             "{:.1f}, {:.1f}".format(*summary.center[c]),
-            f"{angle:.0f}°",
-            ", ".join(f"{k:.4g}" for k in _without_tail(summary.distortion[c].tolist())) or "none",
+            f"{summary.view_deg[c]:.0f}°",
+            _distortion_text(summary, c),
             "{:.3f}, {:.3f}, {:.3f}".format(*summary.scene.centers[c]),
         ])  # fmt: skip
     if late is not None:
         header.append(f"Frames after\n{summary.names[0]}")
         rows = [[*row, offset] for row, offset in zip(rows, offset_texts(late))]
     return Table(header, rows)
+
+
+def _distortion_text(summary: Summary, camera: int) -> str:
+    """The coefficients of a lens that are not 0 at the end, with the model's name where it is not Brown's."""
+    values = ", ".join(f"{k:.4g}" for k in _without_tail(summary.distortion[camera].tolist())) or "none"
+    return values if summary.lens_model == "brown" else f"{summary.lens_model.replace('_', ' ')}: {values}"
 
 
 def offset_texts(late: TimeOffsets) -> list[str]:
