@@ -27,8 +27,8 @@ from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
+from jaxpoint.pointing.shapes import Rectangle
 from jaxpoint.pointing.shapes.polygon import across
-from jaxpoint.pointing.shapes.rectangle import Rectangle
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([6.0, 5.0, 2.5])
 

@@ -9,11 +9,13 @@ import pytest
 from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.objects import CORNERS, check_shape, read_objects
+from jaxpoint.io.objects import check_shape, read_objects
 from jaxpoint.io.objects_adding import append_object
-from jaxpoint.pointing.objects import Box, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Thing
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 from jaxpoint.simulate.rooms import random_room
 
+CORNERS = Rectangle.fields[0].columns
 HEAD = f"name,unit,kind,tags,{','.join(CORNERS)}"
 POSTER = np.array([[1.0, 0, 2], [2, 0, 2], [1, 0, 1], [2, 0, 1]])
 # The first row of table 1 of the thesis, in centimetres; its fourth corner, cut off in print, by the other three.

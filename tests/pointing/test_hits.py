@@ -13,8 +13,9 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import MOST, intersect
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.room import MARGIN_M, SURFACES, Room, end_in_room
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 
 COUNT = 64
 

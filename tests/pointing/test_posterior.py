@@ -1,5 +1,7 @@
 """Masses against Monte Carlo and scipy, probabilities against what they promise, words."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,15 +13,21 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.mass import across, angle, masses, solid_angles
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
+from jaxpoint.pointing.shapes.polygon import View, across, angle
 from jaxpoint.pointing.words import words_evidence
 
 TIP = np.array([3.0, 2.5, 1.3])
 AHEAD = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
 SPREAD = np.deg2rad([4.0, 3.0])
-MASSES = jit_once(masses, static_argnames="freedom")
+
+
+@partial(jit_once, static_argnames="freedom")
+def masses(line, shapes, spread, freedom):
+    view = View.of(line, spread, freedom)
+    return shapes.each(lambda own: own.masses(view))
 
 
 def line(covariance=None, direction=AHEAD) -> PointingLine:
@@ -48,7 +56,7 @@ def furnished() -> list[Thing]:
 
 
 def masses_of(line, freedom):
-    return np.asarray(MASSES(line, Objects.of(furnished()).shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom))
+    return np.asarray(masses(line, Objects.of(furnished()).shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom))
 
 
 @pytest.mark.parametrize("freedom", [None, 2, 4, 10])
@@ -87,10 +95,10 @@ def test_masses_are_those_of_monte_carlo_for_every_shape(freedom):
 
 
 def met_share(objects, origins, directions):
-    """The share of rays that meet each part, in numpy."""
-    s = jax.tree.map(np.asarray, objects.shapes)
+    """The share of rays that meet each primitive, in numpy."""
+    faces, *spheres = jax.tree.map(np.asarray, objects.shapes.primitives)
     shares = []
-    for corner, right, down, solid in zip(s.corner, s.right, s.down, s.solid):
+    for corner, right, down, solid in zip(faces.corner, faces.right, faces.down, faces.solid):
         normal = np.cross(down, right)
         closing = directions @ normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,7 +108,7 @@ def met_share(objects, origins, directions):
             ahead = (reach > 0) & ((closing < 0) | ~solid)
             shares.append(np.mean(ahead & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)))
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    for center, radius in zip(s.center, s.radius):
+    for center, radius in zip(spheres[0].center, spheres[0].radius) if spheres else ():
         gap = center - origins
         along = np.sum(gap * unit, axis=1)
         shares.append(np.mean((along > 0) & (np.sum(gap**2, axis=1) - along**2 < radius**2)))
@@ -120,7 +128,8 @@ def test_a_table_around_the_tip_has_the_mass_of_its_part_ahead():
 
 def test_solid_angles():
     listed = [Thing("wall", facing(0, 0, 0.02, 0.01, 3.0)), Thing("ball", Sphere(TIP + 2 * AHEAD, 1.0))]
-    found = jit_once(solid_angles)(jnp.asarray(TIP), Objects.of(listed).shapes)
+    tip, shapes = jnp.asarray(TIP), Objects.of(listed).shapes
+    found = jit_once(lambda tip, shapes: shapes.each(lambda own: own.solid_angles(tip)))(tip, shapes)
     assert float(found[0]) == pytest.approx(2e-4, rel=1e-3)
     assert float(found[8]) == pytest.approx(2 * np.pi * (1 - np.sqrt(3) / 2))
 

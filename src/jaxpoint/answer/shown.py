@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.answer.answers import Answer
-from jaxpoint.answer.pipeline import Pointed, faces_of
+from jaxpoint.answer.pipeline import Pointed
 from jaxpoint.answer.sentence import sentence
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detect.colour import Image
@@ -32,7 +32,7 @@ def room_scene(pointed: Pointed, rig: CameraRig) -> RoomScene:
     """The room, its objects and cameras, for the figures in 3-D."""
     room = pointed.scene.room
     low, high = np.asarray(room.low), np.asarray(room.high)
-    return RoomScene(low, high, faces_of(pointed.scene.objects), np.asarray(rig.positions), rig.names)
+    return RoomScene(low, high, pointed.scene.objects.outlines, np.asarray(rig.positions), rig.names)
 
 
 def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | None]]:
@@ -64,7 +64,7 @@ def gestures_shown(
         missing: takes a sentence for each picture that could not be made.
     """
     assert session.rig is not None
-    faces = faces_of(pointed.scene.objects)
+    faces = pointed.scene.objects.outlines
     shown = []
     for i, answer in enumerate(pointed.answers):
         sheet = None

@@ -131,14 +131,18 @@ def _shapes(shapes: Sequence[AbstractShape]) -> Shapes:
         own = shape.primitives()
         sorts.setdefault(type(own), []).append((own, k))
     ordered = [sorts[sort] for sort in sorted(sorts, key=lambda sort: sort.__qualname__)]
-    primitives = (jax.tree.map(lambda *rows: _on_device(np.concatenate(rows)), *(own for own, _ in one)) for one in ordered)
+    primitives = (
+        jax.tree.map(lambda *rows: _on_device(np.concatenate(rows)), *(own for own, _ in one)) for one in ordered
+    )
     owners = (_on_device(np.concatenate([np.full(_length(own), k) for own, k in one])) for one in ordered)
     return Shapes(tuple(primitives), tuple(owners))
 
 
 def _used(primitives: AbstractPrimitives) -> Bool[np.ndarray, " N"]:
     """Which are no padding, in numpy: nothing is compiled for it."""
-    return np.any([np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(primitives)], axis=0)
+    return np.any(
+        [np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(primitives)], axis=0
+    )
 
 
 def _length(primitives: AbstractPrimitives) -> int:

@@ -131,9 +131,10 @@ def _posterior(
     """Of lines with one leading axis."""
 
     def one(line: PointingLine, weights: Array, behaviour: Behaviour, choices: list[Choice]) -> Posterior:
-        return _of_line(shapes.select(choices), aimed.select(choices), behaviour, line, weights)
+        return _of_line(ready.select(choices), aimed.select(choices), behaviour, line, weights)
 
     aimed = shapes if behaviour.aimed == 1 else shapes.shrink(behaviour.aimed)
+    ready = Shapes(tuple(own.precompute() for own in shapes.primitives), shapes.owners)
     choices = [_nearest_primitives(own, origin, direction) for own in shapes.primitives]
     return jax.vmap(one)(PointingLine(Ray(origin, direction), covariance), weights, behaviour, choices)
 

@@ -31,6 +31,19 @@ _PARALLEL = 1e-9  # sine of the angle below which a ray does not meet a face
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])  # in sides, around the face
 
 
+class _Planes(eqx.Module):
+    """What rays that meet faces have in common: of each face its unit normal and the dual base of its sides.
+
+    The products of a point with the dual base, less those of the corner, are its fractions of the sides.
+    """
+
+    normal: Float[Array, "N 3"]
+    right: Float[Array, "N 3"]  # 1/m
+    down: Float[Array, "N 3"]  # 1/m
+    offset: Float[Array, "N 3"]  # products of these three with the corner; m, 1, 1
+    used: Bool[Array, " N"]  # whether the face has a size
+
+
 class Faces(AbstractPrimitives):
     """N parallelograms. Those of a solid are met from outside only: from where their corners are in order."""
 
@@ -38,8 +51,12 @@ class Faces(AbstractPrimitives):
     right: Float[AnyArray, "N 3"]  # m, from left-top to right-top
     down: Float[AnyArray, "N 3"]  # m, from left-top to left-bottom
     solid: Bool[AnyArray, " N"]
+    planes: _Planes | None = None  # as `precompute` leaves them
 
     most: ClassVar[int | None] = 16
+
+    def precompute(self) -> Self:
+        return eqx.tree_at(lambda own: own.planes, self, self._planes(), is_leaf=lambda leaf: leaf is None)
 
     def bounding_spheres(self) -> tuple[Array, Array]:
         middle = self.corner + (self.right + self.down) / 2
@@ -55,9 +72,7 @@ class Faces(AbstractPrimitives):
         """Where the ray meets each face's plane, held within the face; the middle where it does not meet the plane."""
         _, u, v, ahead, _ = _meet_planes(self._planes(), ray)
         u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
-        x, y, z = (
-            self.corner[:, i] + u * self.right[:, i] + v * self.down[:, i] - ray.origin[i] for i in range(3)
-        )
+        x, y, z = (self.corner[:, i] + u * self.right[:, i] + v * self.down[:, i] - ray.origin[i] for i in range(3))
         return x, y, z
 
     def angles(self, ray: Ray) -> Array:
@@ -96,6 +111,8 @@ class Faces(AbstractPrimitives):
         return jnp.stack([a, a + u, a + u + v, a + v], axis=1)
 
     def _planes(self) -> _Planes:
+        if self.planes is not None:
+            return self.planes
         corner, right, down = self.corner, self.right, self.down
         normal = jnp.cross(down, right)
         area2 = jnp.sum(normal**2, axis=1)
@@ -103,19 +120,6 @@ class Faces(AbstractPrimitives):
         safe = jnp.where(used, area2, 1.0)[:, None]
         parts = normal / jnp.sqrt(safe), jnp.cross(normal, down) / safe, jnp.cross(right, normal) / safe
         return _Planes(*parts, jnp.stack([jnp.sum(part * corner, axis=1) for part in parts], axis=1), used)
-
-
-class _Planes(eqx.Module):
-    """What rays that meet faces have in common: of each face its unit normal and the dual base of its sides.
-
-    The products of a point with the dual base, less those of the corner, are its fractions of the sides.
-    """
-
-    normal: Float[Array, "N 3"]
-    right: Float[Array, "N 3"]  # 1/m
-    down: Float[Array, "N 3"]  # 1/m
-    offset: Float[Array, "N 3"]  # products of these three with the corner; m, 1, 1
-    used: Bool[Array, " N"]  # whether the face has a size
 
 
 def _meet_planes(planes: _Planes, ray: Ray) -> tuple[Array, Array, Array, Array, Array]:

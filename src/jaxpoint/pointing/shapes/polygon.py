@@ -59,7 +59,9 @@ class View(eqx.Module):
 
     origin: Float[Array, "3"]  # m
     frame: Float[Array, "3 3"]  # rows: to the left of the line, up, and along it
-    covariance: tuple[Float[Array, "2 2"], ...]  # of left and up: constant, linear and square part in one over the depth
+    covariance: tuple[
+        Float[Array, "2 2"], ...
+    ]  # of left and up: constant, linear and square part in one over the depth
     freedom: int | None = eqx.field(static=True)  # of Student's t, even; None: Gaussian
 
     @staticmethod
@@ -102,11 +104,7 @@ def inner(a: Vectors, b: Vectors) -> Array:
 
 def triple_product(a: Vectors, b: Vectors, c: Vectors) -> Array:
     """Of a face's corner, right and down: positive where its corners go from left to up around it as seen from 0."""
-    return (
-        a[0] * (b[1] * c[2] - b[2] * c[1])
-        + a[1] * (b[2] * c[0] - b[0] * c[2])
-        + a[2] * (b[0] * c[1] - b[1] * c[0])
-    )
+    return a[0] * (b[1] * c[2] - b[2] * c[1]) + a[1] * (b[2] * c[0] - b[0] * c[2]) + a[2] * (b[0] * c[1] - b[1] * c[0])
 
 
 def dot(rows: Float[Array, "N 3"], vector: Float[Array, "3"]) -> Float[Array, " N"]:
@@ -180,9 +178,7 @@ def polygon_masses(start: Vectors, end: Vectors, turn: Float[Array, " N"], view:
     return jnp.clip(outer + jnp.where(inside & seen & (turn != 0), 1.0, 0.0), 0.0, 1.0)
 
 
-def _of_edge(
-    start: Vectors, end: Vectors, covariance: tuple[Array, ...], freedom: int | None
-) -> tuple[Array, Array]:
+def _of_edge(start: Vectors, end: Vectors, covariance: tuple[Array, ...], freedom: int | None) -> tuple[Array, Array]:
     """What edges add to masses, and the distance at which they pass 0, positive with 0 to their left."""
     (p, near_p), (q, near_q) = _projected(_clipped(start, end)), _projected(_clipped(end, start))
     edge = q[0] - p[0], q[1] - p[1]

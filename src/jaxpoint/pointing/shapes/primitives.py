@@ -25,6 +25,10 @@ class AbstractPrimitives(eqx.Module):
     most: eqx.AbstractClassVar[int | None]  # of the primitives that one line's posterior considers; None: all
 
     @abc.abstractmethod
+    def precompute(self) -> Self:
+        """With what all lines share computed once, where there is such; else itself."""
+
+    @abc.abstractmethod
     def bounding_spheres(self) -> tuple[Float[Array, "N 3"], Float[Array, " N"]]:
         """Middles and radii (m) of spheres that hold the primitives; the radius is 0 for padding only."""
 

@@ -20,11 +20,14 @@ def register(shape: type[AbstractShape]) -> type[AbstractShape]:
     """Make a shape known to readers, writers, commands and reports; a decorator too.
 
     Raises:
-        ValueError: its name is taken, or it or a field of it is called as what stands beside it in files.
+        ValueError: its name is taken, or one of its names cannot stand in files of objects.
     """
-    wrong = [name for name in (shape.name, *(field.name for field in shape.fields)) if name in _RESERVED]
-    if wrong:
-        raise ValueError(f"The shape '{shape.name}' cannot use the name '{wrong[0]}', which files of objects use; rename it.")
+    for name in (shape.name, *(field.name for field in shape.fields)):
+        if name in _RESERVED or not name.isidentifier() or name != name.casefold():
+            raise ValueError(
+                f"The shape '{shape.name}' uses the name '{name}', which cannot stand in files of objects; give "
+                "another one, in small letters."
+            )
     if shape.name in _SHAPES:
         raise ValueError(f"There is a shape '{shape.name}' already; give the new one another name.")
     _SHAPES[shape.name] = shape

@@ -72,6 +72,9 @@ class Spheres(AbstractPrimitives):
 
     most: ClassVar[int | None] = None
 
+    def precompute(self) -> Self:
+        return self
+
     def bounding_spheres(self) -> tuple[AnyArray, AnyArray]:
         return self.center, self.radius
 
