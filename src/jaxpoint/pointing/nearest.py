@@ -65,7 +65,7 @@ def _nearest_to_rays(shapes: Shapes, count: int, most: int, measure: Measure, ra
 @partial(jit, static_argnums=(1, 2))
 def _nearest_to_points(shapes: Shapes, count: int, most: int, points: Array) -> Nearest:
     def one(point: Array) -> Nearest:
-        values = shapes.each(lambda own: own.point_distances(point))
+        values = shapes.each(lambda own: own.point_distances(jnp.broadcast_to(point, (own.used.shape[0], 3))))
         return _least(values, jnp.bool_(True), shapes, count, most)
 
     return jax.vmap(one)(points)

@@ -37,7 +37,7 @@ class Shapes(eqx.Module):
     """The primitives of K objects, padded, in order of their sorts' names: P in all."""
 
     primitives: tuple[AbstractPrimitives, ...]
-    owners: tuple[Int[Array, " N"], ...]  # which object each primitive belongs to; of padding 0
+    owners: tuple[Int[Array, " _"], ...]  # which object each primitive belongs to; of padding 0
 
     @property
     def owner(self) -> Int[Array, " P"]:
@@ -126,30 +126,26 @@ class Objects(eqx.Module):
 
 def _shapes(shapes: Sequence[AbstractShape]) -> Shapes:
     """The primitives of all, joined by their sort and padded."""
-    sorts: dict[type[AbstractPrimitives], list[tuple[AbstractPrimitives, int]]] = {}
+    sorts: dict[type[AbstractPrimitives], list[tuple[np.ndarray, ...]]] = {}
     for k, shape in enumerate(shapes):
-        own = shape.primitives()
-        sorts.setdefault(type(own), []).append((own, k))
-    ordered = [sorts[sort] for sort in sorted(sorts, key=lambda sort: sort.__qualname__)]
-    primitives = (
-        jax.tree.map(lambda *rows: _on_device(np.concatenate(rows)), *(own for own, _ in one)) for one in ordered
-    )
-    owners = (_on_device(np.concatenate([np.full(_length(own), k) for own, k in one])) for one in ordered)
+        sort, rows = shape.primitives()
+        sorts.setdefault(sort, []).append((*rows, np.full(len(rows[0]), k)))
+    primitives, owners = [], []
+    for sort in sorted(sorts, key=lambda sort: sort.__qualname__):
+        *arrays, owner = (_joined(parts) for parts in zip(*sorts[sort]))
+        primitives.append(sort(*arrays))  # pyright: ignore[reportArgumentType]; `most` is no field
+        owners.append(owner)
     return Shapes(tuple(primitives), tuple(owners))
 
 
 def _used(primitives: AbstractPrimitives) -> Bool[np.ndarray, " N"]:
     """Which are no padding, in numpy: nothing is compiled for it."""
-    return np.any(
-        [np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in jax.tree.leaves(primitives)], axis=0
-    )
+    leaves = jax.tree.leaves(primitives)
+    return np.any([np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in leaves], axis=0)
 
 
-def _length(primitives: AbstractPrimitives) -> int:
-    return len(jax.tree.leaves(primitives)[0])
-
-
-def _on_device(rows: np.ndarray) -> Array:
-    """With zeros up to a multiple of PAD rows."""
+def _joined(parts: Sequence[np.ndarray]) -> Array:
+    """One after the other, with zeros up to a multiple of PAD rows."""
+    rows = np.concatenate(parts)
     padded = np.pad(rows, [(0, -len(rows) % PAD), *[(0, 0)] * (rows.ndim - 1)])
     return as_float(padded) if padded.dtype.kind == "f" else jnp.asarray(padded)

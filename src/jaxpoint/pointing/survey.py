@@ -75,10 +75,8 @@ def _surveyed(thing: Thing) -> Surveyed:
 
 def _flat(thing: Thing) -> np.ndarray | None:
     """Corner, right and down (rows, m) of an object that is one face; None of others."""
-    face = thing.shape.primitives()
-    if not isinstance(face, Faces) or len(face.corner) != 1:
-        return None
-    return np.concatenate([face.corner, face.right, face.down])
+    sort, rows = thing.shape.primitives()
+    return np.concatenate(rows[:3]) if sort is Faces and len(rows[0]) == 1 else None
 
 
 def _share_within(part: np.ndarray, whole: np.ndarray) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.pointing.shapes.faces import Faces
-from jaxpoint.pointing.shapes.shape import AbstractShape, Field, angle, too_small, vector
+from jaxpoint.pointing.shapes.shape import AbstractShape, Field, Rows, angle, vector
 
 
 @dataclass(frozen=True)
@@ -23,20 +23,14 @@ class Box(AbstractShape):
     name: ClassVar[str] = "box"
     fields: ClassVar[tuple[Field, ...]] = (vector("center"), vector("size"), angle("yaw_deg", 0.0))
 
-    def primitives(self) -> Faces:
+    def primitives(self) -> Rows:
         x, y, z = self._sides()
         faces = []
         for sign in (1.0, -1.0):  # down x right looks out of the box
             for out, right, down in ((x, sign * y, -z), (y, -sign * x, -z), (z, sign * x, -y)):
                 faces.append((np.asarray(self.center, float) + (sign * out - right - down) / 2, right, down))
         corner, right, down = np.array(faces).transpose(1, 0, 2)
-        return Faces(corner, right, down, np.ones(6, bool))
-
-    def fault(self) -> str | None:
-        return too_small("side", float(np.min(self.size)))
-
-    def doubt(self, name: str) -> None:
-        return None
+        return Faces, (corner, right, down, np.ones(6, bool))
 
     @property
     def sides(self) -> tuple[float, ...]:
@@ -46,10 +40,6 @@ class Box(AbstractShape):
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         half = np.abs(self._sides()).sum(axis=0) / 2
         return self.center - half, self.center + half
-
-    @property
-    def residual(self) -> float:
-        return 0.0
 
     def _sides(self) -> Float[np.ndarray, "3 3"]:
         """Its three edges as rows, m."""

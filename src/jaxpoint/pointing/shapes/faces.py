@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -11,20 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, safe_norm
+from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.shapes.polygon import (
-    Vectors,
-    View,
-    add,
-    components,
-    dot,
-    edge_angle,
-    flat_edges,
-    half_solid_angle,
-    polygon_masses,
-    triple_product,
-)
+from jaxpoint.pointing.shapes.polygon import Edges, Vectors, dot, edge_angle, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 _PARALLEL = 1e-9  # sine of the angle below which a ray does not meet a face
@@ -47,15 +36,15 @@ class _Planes(eqx.Module):
 class Faces(AbstractPrimitives):
     """N parallelograms. Those of a solid are met from outside only: from where their corners are in order."""
 
-    corner: Float[AnyArray, "N 3"]  # m, left-top
-    right: Float[AnyArray, "N 3"]  # m, from left-top to right-top
-    down: Float[AnyArray, "N 3"]  # m, from left-top to left-bottom
-    solid: Bool[AnyArray, " N"]
+    corner: Float[Array, "N 3"]  # m, left-top
+    right: Float[Array, "N 3"]  # m, from left-top to right-top
+    down: Float[Array, "N 3"]  # m, from left-top to left-bottom
+    solid: Bool[Array, " N"]
     planes: _Planes | None = None  # as `precompute` leaves them
 
     most: ClassVar[int | None] = 16
 
-    def precompute(self) -> Self:
+    def precompute(self) -> Faces:
         return eqx.tree_at(lambda own: own.planes, self, self._planes(), is_leaf=lambda leaf: leaf is None)
 
     def bounding_spheres(self) -> tuple[Array, Array]:
@@ -76,38 +65,31 @@ class Faces(AbstractPrimitives):
         return x, y, z
 
     def angles(self, ray: Ray) -> Array:
-        return jax.vmap(partial(_angle_to_face, ray.direction))(self._corners(ray.origin))
+        return jax.vmap(partial(_angle_to_face, ray.direction))(self._corners(ray.origin[None]))
 
     def distances(self, ray: Ray) -> Array:
-        return jax.vmap(partial(_distance_to_face, ray.direction))(self._corners(ray.origin))
+        return jax.vmap(partial(_distance_to_face, ray.direction))(self._corners(ray.origin[None]))
 
-    def point_distances(self, point: Array) -> Array:
-        return jax.vmap(_point_to_face)(self._corners(point))
+    def point_distances(self, points: Array) -> Array:
+        return jax.vmap(_point_to_face)(self._corners(points))
 
-    def masses(self, view: View) -> Array:
-        sides = view.turn(self.corner - view.origin[None], self.right, self.down)
-        facing = triple_product(*sides)
-        mass = polygon_masses(*flat_edges(*sides, _CORNERS), jnp.sign(facing), view)
-        return jnp.where(~self.solid | (facing > 0), mass, 0.0)
+    def silhouettes(self, origin: Array, frame: Array) -> Edges:
+        corner, right, down = (in_frame(frame, v) for v in (self.corner - origin[None], self.right, self.down))
+        facing = triple_product(corner, right, down)
+        seen = ~self.solid | (facing > 0)
+        return (*flat_edges(corner, right, down, _CORNERS), jnp.where(seen, jnp.sign(facing), 0.0))
 
-    def solid_angles(self, origin: Array) -> Array:
-        a, u, v = (components(part) for part in (self.corner - origin[None], self.right, self.down))
-        b, c, d = add(a, u), add(add(a, u), v), add(a, v)
-        facing = triple_product(a, u, v)  # both triangles' triple product
-        angle = 2 * (half_solid_angle(facing, a, b, c) + half_solid_angle(facing, a, c, d))
-        return jnp.where(self.solid & (facing <= 0), 0.0, jnp.abs(angle))
-
-    def shrink(self, about: Array, share: float) -> Self:
+    def shrink(self, about: Array, share: float) -> Faces:
         corner = about + share * (self.corner - about)
-        return type(self)(corner, share * self.right, share * self.down, self.solid)
+        return Faces(corner, share * self.right, share * self.down, self.solid)
 
     def outlines(self) -> Float[np.ndarray, "N L n 3"]:
         a, u, v = (np.asarray(part) for part in (self.corner, self.right, self.down))
         return np.stack([a, a + u, a + u + v, a + v], axis=1)[:, None]
 
-    def _corners(self, origin: Array) -> Float[Array, "N 4 3"]:
-        """Around each face, from a place, m."""
-        a, u, v = self.corner - origin[None], self.right, self.down
+    def _corners(self, origins: Float[Array, "#N 3"]) -> Float[Array, "N 4 3"]:
+        """Around each face, from a place (or one for each), m."""
+        a, u, v = self.corner - origins, self.right, self.down
         return jnp.stack([a, a + u, a + u + v, a + v], axis=1)
 
     def _planes(self) -> _Planes:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import operator
 from functools import reduce
+from itertools import pairwise
 from typing import TypeAlias
 
 import equinox as eqx
@@ -43,6 +44,9 @@ _ARCTAN = (
     1.0,
 )
 Vectors: TypeAlias = tuple[Array, Array, Array]  # rows, by component: sums of few terms fuse
+# Of N polygons, convex as seen from 0, the starts and ends of their n edges (n, N), and how they turn (N,): 1 where the
+# corners go from left to up around the polygon, -1 the other way, 0 where it is not seen.
+Edges: TypeAlias = tuple[Vectors, Vectors, Array]
 
 
 def across(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
@@ -77,28 +81,14 @@ class View(eqx.Module):
         covariance = both[1, :, 1] + spread, both[0, :, 1] + both[1, :, 0], both[0, :, 0]
         return View(line.ray.origin, jnp.concatenate([base, line.ray.direction[None]]), covariance, freedom)
 
-    def turn(self, *vectors: Float[Array, "N 3"]) -> tuple[Vectors, ...]:
-        """Rows in the line's frame: left, up and along."""
-        return tuple(_in_frame(self.frame, v) for v in vectors)
 
-
-def _in_frame(frame: Array, v: Array) -> Vectors:
-    x, y, z = (axis[0] * v[:, 0] + axis[1] * v[:, 1] + axis[2] * v[:, 2] for axis in frame)
+def in_frame(frame: Float[Array, "3 3"], rows: Float[Array, "N 3"]) -> Vectors:
+    """Rows in another frame."""
+    x, y, z = (dot(rows, axis) for axis in frame)
     return x, y, z
 
 
-def components(rows: Float[Array, "N 3"]) -> Vectors:
-    """The columns of rows."""
-    return rows[:, 0], rows[:, 1], rows[:, 2]
-
-
-def add(a: Vectors, b: Vectors) -> Vectors:
-    """Sums of rows."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def inner(a: Vectors, b: Vectors) -> Array:
-    """Products of rows."""
+def _inner(a: Vectors, b: Vectors) -> Array:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -112,17 +102,23 @@ def dot(rows: Float[Array, "N 3"], vector: Float[Array, "3"]) -> Float[Array, " 
     return rows[:, 0] * vector[0] + rows[:, 1] * vector[1] + rows[:, 2] * vector[2]
 
 
-def half_solid_angle(top: Float[Array, " N"], a: Vectors, b: Vectors, c: Vectors) -> Float[Array, " N"]:
-    """Half the signed solid angle of triangles from 0, sr.
+def fan_solid_angle(edges: Edges) -> Float[Array, " N"]:
+    """The solid angles of polygons from 0, sr: a fan of triangles about the first corner of each.
 
     After van Oosterom and Strackee, The solid angle of a plane triangle, IEEE Trans. Biomed. Eng. 30 (1983).
-
-    Args:
-        top: the triple product of the corners.
     """
-    u, v, w = (jnp.sqrt(inner(x, x) + 1e-18) for x in (a, b, c))
-    bottom = u * v * w + inner(a, b) * w + inner(a, c) * v + inner(b, c) * u
-    return angle(top, bottom)
+    start, _, turn = edges
+    (x, y, z), count = start, len(start[0])
+    first, *rest = [(x[i], y[i], z[i]) for i in range(count)]
+    half = reduce(operator.add, (_half_solid_angle(first, b, c) for b, c in pairwise(rest)))
+    return jnp.where(turn == 0, 0.0, jnp.abs(2 * half))
+
+
+def _half_solid_angle(a: Vectors, b: Vectors, c: Vectors) -> Array:
+    """Half the signed solid angle of triangles."""
+    u, v, w = (jnp.sqrt(_inner(x, x) + 1e-18) for x in (a, b, c))
+    bottom = u * v * w + _inner(a, b) * w + _inner(a, c) * v + _inner(b, c) * u
+    return angle(triple_product(a, b, c), bottom)
 
 
 def angles_to(direction: Float[Array, "3"], gaps: Float[Array, "n 3"]) -> Float[Array, " n"]:
@@ -158,23 +154,18 @@ def flat_edges(corner: Vectors, right: Vectors, down: Vectors, rim: np.ndarray) 
     return placed(rim), placed(np.roll(rim, -1, axis=0))
 
 
-def polygon_masses(start: Vectors, end: Vectors, turn: Float[Array, " N"], view: View) -> Float[Array, " N"]:
-    """Masses of N polygons, convex as seen from the line's origin.
-
-    Args:
-        start, end: of their edges (n, N), in the line's frame (`View.turn`), m from its origin.
-        turn: 1 where the corners go from left to up around the polygon as seen from the origin, -1 the other way, 0 for
-            padding.
-    """
+def polygon_masses(edges: Edges, view: View) -> Float[Array, " N"]:
+    """Masses of N polygons in the line's frame, m from its origin."""
+    start, end, turn = edges
     part, left = _of_edge(start, end, view.covariance, view.freedom)
     ahead = jnp.maximum(start[2], end[2]) > NEAR_M
     within = ~ahead | (left * turn[None] > 0)
     part = jnp.where(ahead, part, 0.0)
     # Sums that are written out fuse and vectorise, over an axis they do not.
-    edges = range(len(part))
-    outer = reduce(operator.add, (part[i] for i in edges)) * turn / (2 * jnp.pi)
-    inside = reduce(operator.and_, (within[i] for i in edges))
-    seen = reduce(operator.or_, (ahead[i] for i in edges))
+    each = range(len(part))
+    outer = reduce(operator.add, (part[i] for i in each)) * turn / (2 * jnp.pi)
+    inside = reduce(operator.and_, (within[i] for i in each))
+    seen = reduce(operator.or_, (ahead[i] for i in each))
     return jnp.clip(outer + jnp.where(inside & seen & (turn != 0), 1.0, 0.0), 0.0, 1.0)
 
 

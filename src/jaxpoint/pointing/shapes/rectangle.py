@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.pointing.shapes.faces import Faces
-from jaxpoint.pointing.shapes.shape import MIN_SIDE_M, AbstractShape, Field, points, too_small
+from jaxpoint.pointing.shapes.shape import MIN_SIDE_M, AbstractShape, Field, Rows, points, too_small
 
 MAX_RESIDUAL_M = 0.05
 
@@ -24,9 +24,9 @@ class Rectangle(AbstractShape):
     name: ClassVar[str] = "rectangle"
     fields: ClassVar[tuple[Field, ...]] = (points("corners", "lt", "rt", "lb", "rb"),)
 
-    def primitives(self) -> Faces:
+    def primitives(self) -> Rows:
         corner, right, down = flat_rectangle(self.corners)[0][:, None]
-        return Faces(corner, right, down, np.zeros(1, bool))
+        return Faces, (corner, right, down, np.zeros(1, bool))
 
     def fault(self) -> str | None:
         left_top, right_top, left_bottom, right_bottom = np.asarray(self.corners)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 MIN_SIDE_M = 0.001
+Rows: TypeAlias = tuple[type[AbstractPrimitives], tuple[np.ndarray, ...]]  # a sort, and its arrays of N rows each
 
 
 @dataclass(frozen=True)
@@ -78,16 +79,8 @@ class AbstractShape(abc.ABC):
     fields: ClassVar[tuple[Field, ...]]
 
     @abc.abstractmethod
-    def primitives(self) -> AbstractPrimitives:
-        """What rays meet of it: one or more primitives of one sort, in numpy."""
-
-    @abc.abstractmethod
-    def fault(self) -> str | None:
-        """What keeps rays from meeting it, such as "has a side of 0 mm; ...", with the remedy; None: nothing."""
-
-    @abc.abstractmethod
-    def doubt(self, name: str) -> str | None:
-        """A sentence about what was probably measured wrong on the object of this name; None: nothing."""
+    def primitives(self) -> Rows:
+        """What rays meet of it: one or more primitives of one sort."""
 
     @property
     @abc.abstractmethod
@@ -100,9 +93,17 @@ class AbstractShape(abc.ABC):
         """Its lowest and highest coordinates, m."""
 
     @property
-    @abc.abstractmethod
     def residual(self) -> float:
         """Rms distance of what was measured from the shape, m; 0 where no more is measured than the shape takes."""
+        return 0.0
+
+    def fault(self) -> str | None:
+        """What keeps rays from meeting it, such as "has a side of 0 mm; ...", with the remedy; None: nothing."""
+        return too_small("side", min(self.sides))
+
+    def doubt(self, name: str) -> str | None:
+        """A sentence about what was probably measured wrong on the object of this name; None: nothing."""
+        return None
 
     @property
     def values(self) -> tuple[Any, ...]:

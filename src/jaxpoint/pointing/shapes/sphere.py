@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxpoint.geometry.arrays import AnyArray, safe_norm
+from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.geometry.line import Ray, normalised
-from jaxpoint.pointing.shapes.polygon import (
-    Vectors,
-    View,
-    across,
-    angles_to,
-    dot,
-    flat_edges,
-    polygon_masses,
-    triple_product,
-)
+from jaxpoint.pointing.shapes.polygon import Edges, across, angles_to, dot, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
-from jaxpoint.pointing.shapes.shape import AbstractShape, Field, length, too_small, vector
+from jaxpoint.pointing.shapes.shape import AbstractShape, Field, Rows, length, too_small, vector
 
 _SIDES = 12  # of the polygon of equal area that stands for a sphere's outline
 _TURN = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -41,14 +32,11 @@ class Sphere(AbstractShape):
     name: ClassVar[str] = "sphere"
     fields: ClassVar[tuple[Field, ...]] = (vector("center"), length("radius"))
 
-    def primitives(self) -> Spheres:
-        return Spheres(np.asarray(self.center, float)[None], np.array([self.radius], float))
+    def primitives(self) -> Rows:
+        return Spheres, (np.asarray(self.center, float)[None], np.array([self.radius], float))
 
     def fault(self) -> str | None:
         return too_small("radius", self.radius)
-
-    def doubt(self, name: str) -> None:
-        return None
 
     @property
     def sides(self) -> tuple[float, ...]:
@@ -59,23 +47,16 @@ class Sphere(AbstractShape):
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         return self.center - self.radius, self.center + self.radius
 
-    @property
-    def residual(self) -> float:
-        return 0.0
-
 
 class Spheres(AbstractPrimitives):
     """N spheres."""
 
-    center: Float[AnyArray, "N 3"]  # m
-    radius: Float[AnyArray, " N"]  # m
+    center: Float[Array, "N 3"]  # m
+    radius: Float[Array, " N"]  # m
 
     most: ClassVar[int | None] = None
 
-    def precompute(self) -> Self:
-        return self
-
-    def bounding_spheres(self) -> tuple[AnyArray, AnyArray]:
+    def bounding_spheres(self) -> tuple[Array, Array]:
         return self.center, self.radius
 
     def meet(self, ray: Ray) -> tuple[Array, Array, Array]:
@@ -86,11 +67,6 @@ class Spheres(AbstractPrimitives):
         distance = along - jnp.sqrt(jnp.where(meets, inside, 1.0))
         half = jnp.full(self.radius.shape, 0.5, distance.dtype)
         return jnp.where(meets & (distance > 0), distance, jnp.inf), half, half
-
-    def nearest_places(self, ray: Ray) -> Vectors:
-        """The middles: of what is seen of a sphere, that of its image."""
-        x, y, z = (self.center[:, i] - ray.origin[i] for i in range(3))
-        return x, y, z
 
     def angles(self, ray: Ray) -> Array:
         gap = self.center - ray.origin[None]
@@ -104,18 +80,20 @@ class Spheres(AbstractPrimitives):
         along = jnp.maximum(gap @ ray.direction, 0.0)
         return jnp.maximum(safe_norm(gap - along[:, None] * ray.direction[None]) - self.radius, 0.0)
 
-    def point_distances(self, point: Array) -> Array:
-        return jnp.maximum(safe_norm(self.center - point[None]) - self.radius, 0.0)
+    def point_distances(self, points: Array) -> Array:
+        return jnp.maximum(safe_norm(self.center - points) - self.radius, 0.0)
 
-    def masses(self, view: View) -> Array:
-        gaps = self.center - view.origin[None]
+    def silhouettes(self, origin: Array, frame: Array) -> Edges:
+        """A polygon of the area of the circle as which each is seen; none from within."""
+        gaps = self.center - origin[None]
         gap2 = jnp.sum(gaps**2, axis=1)
         outside = (gap2 > self.radius**2) & (self.radius > 0)
         shrink = jnp.where(outside, 1 - self.radius**2 / jnp.where(outside, gap2, 1.0), 1.0)
         half_axes = jax.vmap(across)(normalised(gaps)) * (self.radius * jnp.sqrt(shrink))[:, None, None]
-        circle = view.turn(gaps * shrink[:, None], half_axes[:, 0], half_axes[:, 1])  # the outline as seen
-        mass = polygon_masses(*flat_edges(*circle, _CIRCLE), jnp.sign(triple_product(*circle)), view)
-        return jnp.where(outside, mass, 0.0)
+        circle = gaps * shrink[:, None], half_axes[:, 0], half_axes[:, 1]  # which lies before the middle
+        middle, left, up = (in_frame(frame, v) for v in circle)
+        turn = jnp.where(outside, jnp.sign(triple_product(middle, left, up)), 0.0)
+        return (*flat_edges(middle, left, up, _CIRCLE), turn)
 
     def solid_angles(self, origin: Array) -> Array:
         gap2 = jnp.sum((self.center - origin[None]) ** 2, axis=1)
@@ -123,8 +101,8 @@ class Spheres(AbstractPrimitives):
         cosine = jnp.sqrt(jnp.where(outside, 1 - self.radius**2 / jnp.where(outside, gap2, 1.0), 1.0))
         return jnp.where(outside, 2 * jnp.pi * (1 - cosine), 4 * jnp.pi)
 
-    def shrink(self, about: Array, share: float) -> Self:
-        return type(self)(about + share * (self.center - about), share * self.radius)
+    def shrink(self, about: Array, share: float) -> Spheres:
+        return Spheres(about + share * (self.center - about), share * self.radius)
 
     def outlines(self) -> Float[np.ndarray, "N L n 3"]:
         """Three great circles."""
