@@ -18,10 +18,11 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.io.objects import read_objects
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.mass import View, across
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.shapes import AbstractShape, register, unregister
-from jaxpoint.pointing.shapes.polygon import View, across, in_frame
+from jaxpoint.pointing.shapes.polygon import in_frame
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 from jaxpoint.pointing.shapes.shape import length, vector
 from jaxpoint.report.figures_pointing import PointingScene, RoomScene, room_view

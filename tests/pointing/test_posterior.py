@@ -13,10 +13,10 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.mass import View, across, angle
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
-from jaxpoint.pointing.shapes.polygon import View, across, angle
 from jaxpoint.pointing.words import words_evidence
 
 TIP = np.array([3.0, 2.5, 1.3])

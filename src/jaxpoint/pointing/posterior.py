@@ -30,8 +30,8 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import nearest_first
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.mass import View, across
 from jaxpoint.pointing.objects import Choice, Objects, Shapes
-from jaxpoint.pointing.shapes.polygon import View, across
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 AMBIGUOUS = 3.0

@@ -13,7 +13,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.shapes.polygon import Edges, Vectors, dot, edge_angle, flat_edges, in_frame, triple_product
+from jaxpoint.pointing.mass import Edges, Vectors
+from jaxpoint.pointing.shapes.polygon import dot, edge_angle, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 _PARALLEL = 1e-9  # sine of the angle below which a ray does not meet a face

@@ -12,15 +12,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.shapes.polygon import (
-    NEAR_M,
-    Edges,
-    Vectors,
-    View,
-    edge_angle,
-    fan_solid_angle,
-    polygon_masses,
-)
+from jaxpoint.pointing.mass import NEAR_M, Edges, Vectors, View, polygon_masses
+from jaxpoint.pointing.shapes.polygon import edge_angle, fan_solid_angle
 
 _THIRDS = 64  # steps that narrow an interval to 1e-11 of its length
 

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.geometry.line import Ray, normalised
-from jaxpoint.pointing.shapes.polygon import Edges, across, angles_to, dot, flat_edges, in_frame, triple_product
+from jaxpoint.pointing.mass import Edges, across
+from jaxpoint.pointing.shapes.polygon import angles_to, dot, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 from jaxpoint.pointing.shapes.shape import AbstractShape, Field, Rows, length, too_small, vector
 
