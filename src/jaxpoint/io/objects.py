@@ -122,6 +122,7 @@ def _parse_csv(path: Path, text: str) -> list[Thing]:
     header = parse_header(path, text)
     suffix = length_suffix(header)
     plain = shapes()[PLAIN]
+    _check_shape_column(path, header, suffix)
     if header and not suffix and "unit" not in header:
         raise FileFormatError(
             f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the corners "
@@ -134,6 +135,19 @@ def _parse_csv(path: Path, text: str) -> list[Thing]:
     unit = () if suffix else ("unit",)
     rows = parse_table(path, text, ("name", *own, *unit, *_length_columns(header, used, suffix)))
     return [_thing(row, _shape_of(row) if own else plain, suffix) for row in rows]
+
+
+def _check_shape_column(path: Path, header: Sequence[str], suffix: str) -> None:
+    """Refuse a table that has the columns of another shape than the plain one, but does not say so."""
+    if "shape" in header or set(file_columns(shapes()[PLAIN].fields[0], suffix)) & set(header):
+        return
+    for shape in shapes().values():
+        needed = [field for field in shape.fields if field.default is None]
+        if all(column in header for field in needed for column in file_columns(field, suffix)):
+            raise FileFormatError(
+                f"{path} has the columns of a {shape.name}, but no column 'shape'; add it, with the name of each "
+                "line's shape."
+            )
 
 
 def _length_columns(header: Sequence[str], used: Sequence[type[AbstractShape]], suffix: str) -> list[str]:
