@@ -1,4 +1,4 @@
-"""Masses against Monte Carlo and scipy, probabilities against what they promise, words."""
+"""Masses against Monte Carlo and scipy, probabilities against relative frequencies, words."""
 
 from functools import partial
 
@@ -180,8 +180,8 @@ def test_reverse_derivatives_of_the_angle_of_an_edge():
 
 
 @pytest.mark.parametrize("aimed", [1.0, 0.5])
-def test_probabilities_are_kept_by_people_who_behave_as_assumed(aimed):
-    """Of the answers given with a probability p, p are right: whoever is simulated means any object, or none."""
+def test_probabilities_are_relative_frequencies_for_people_who_behave_as_assumed(aimed):
+    """Of the answers given with a probability p, p are right: simulated people mean any object, or none."""
     rng = np.random.default_rng(2)
     listed = [Thing(str(i), facing(*rng.uniform(-0.5, 0.5, 2), *rng.uniform(0.04, 0.3, 2))) for i in range(12)]
     behaviour = Behaviour(*SPREAD, freedom=4, nothing=0.1, hidden=1.0, aimed=aimed)
@@ -210,7 +210,7 @@ def test_probabilities_are_kept_by_people_who_behave_as_assumed(aimed):
     assert best.min() < 0.5 < 0.9 < best.max()  # all kinds of answers are among them
 
 
-def test_what_is_hidden_counts_less_and_doubt_is_told():
+def test_occluded_parts_count_less_and_ambiguity_is_reported():
     listed = [Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0, 0, 0.2, 0.2, 2.0))]
     objects = Objects.of(listed)
     found = posterior(line(), objects, Behaviour(hidden=0.1, nothing=0.01))
@@ -226,8 +226,8 @@ def test_what_is_hidden_counts_less_and_doubt_is_told():
     assert float(beyond.nothing) > 0.99
 
 
-def test_what_is_no_line_has_no_probabilities():
-    """Nor takes those of its neighbours; a variance of 0 but for rounding is none below 0."""
+def test_invalid_lines_have_no_probabilities():
+    """Their neighbours keep theirs; a variance that is rounded to just below 0 is valid."""
     objects = Objects.of([Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0.1, 0, 0.2, 0.2, 2.0))])
     each = [
         line(np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, -1e-13])),

@@ -171,7 +171,7 @@ def _view(
     title = rig.names[camera]
     if own is None or own.reason != ArmReason.FOUND:
         why = "no arm" if own is None else own.reason.name.lower().replace("_", " ")
-        return PointingView(image, title, outlines, line, reason=f"no say: {why}")
+        return PointingView(image, title, outlines, line, reason=f"not used: {why}")
     return PointingView(image, title, outlines, line, _pair(own.tip), _pair(own.base))
 
 

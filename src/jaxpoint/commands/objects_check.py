@@ -21,7 +21,7 @@ class ObjectsCheck(Options):
 
     jaxpoint objects check objects.csv --room-low 0 0 0 --room-high 6 5 3
 
-    A file that cannot be used (no unit, a name twice, a twisted rectangle) is an error; what is only unusual is listed.
+    A file that cannot be used (no unit, a name twice, a twisted rectangle) is an error; unusual values are listed.
     """
 
     objects: Annotated[Path, tyro.conf.Positional]

@@ -2,9 +2,9 @@
 
 The direction's error lies in the plane across the line, gnomonic: a place X at depth z before the tip o is
 y = (X - o) across the line / z. A line whose origin errs too passes X where y is its direction's error plus its
-origin's over z, so every edge is made white by the covariance at the depth where it passes nearest to the line. That is
-exact where the origin is sure or the polygon square to the line. In white coordinates the mass of a polygon is, by the
-divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
+origin's over z, so every edge is whitened by the covariance at the depth where it passes nearest to the line. That is
+exact where the origin is sure or the polygon square to the line. In whitened coordinates the mass of a polygon is, by
+the divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
 it, r^2 = h^2 + s^2, S(r) the probability of an error larger than r):
 
     mass = 1 / 2 pi  sum of  integral of  h (1 - S(r)) / r^2  ds
@@ -28,8 +28,8 @@ from jaxtyping import Array, Float
 from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.pointing.line import PointingLine
 
-NEAR_M = 0.005  # what lies less far before the tip is not pointed at
-_REACH = 4.0  # standard deviations, beyond which a Gaussian is nothing
+NEAR_M = 0.005  # nothing nearer before the tip is pointed at
+_REACH = 4.0  # standard deviations, beyond which a Gaussian has no mass
 _NODES = 10
 _ARCTAN = (
     0.0028662257,

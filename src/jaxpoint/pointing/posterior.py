@@ -1,15 +1,15 @@
 """How probable each object is as the one that is meant, and that none is.
 
-For one line the distribution of its direction is its own covariance, origin included, plus the spread of people who
-point. `mass` is the share of it on each object. Whoever means an object aims somewhere on it, so the likelihood of a
+The distribution of one line's direction has its own covariance, origin included, plus the spread of people who point.
+`mass` is the share of it on each object. A person who means an object aims somewhere on it, so the likelihood of a
 line is the mean of that distribution over the object: its mass over the solid angle that it fills. Times the prior of
 the object (all are alike before the line is seen) this is Bayes' rule; with `prior="size"` large objects are meant as
-much more often as they are larger, and the likelihood times the prior is the mass itself. Whoever means nothing points
-anywhere: the share of the distribution that no object takes, over half a sphere.
+much more often as they are larger, and the likelihood times the prior is the mass itself. A person who means nothing
+points anywhere: the share of the distribution that no object takes, over half a sphere.
 
-Objects behind others may still be meant: the hidden part of their mass counts `hidden` times as much. Who means a thing
-points nearer to its middle than to its edge: with `aimed` below 1 somewhere on the part of that size about its middle.
-Without it a small thing before or on a large one takes nearly all lines that pass it (on a table: the book).
+Objects behind others may still be meant: the occluded part of their mass counts `hidden` times as much. People point
+nearer to the middle of an object than to its edge: with `aimed` below 1 somewhere on the part of that size about its
+middle. Without it a small object before or on a large one takes nearly all lines that pass it (on a table: the book).
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 AMBIGUOUS = 3.0
 _DIRECTIONS = 16  # sampled, by which the hidden part of an object is estimated
-_ROUNDING = 1e-6  # of the largest variance: how far below 0 one may lie that should be 0
+_ROUNDING = 1e-6  # of the largest variance: how far below 0 a variance may be rounded
 _TOUCH = 1e-9  # relative distance within which two primitives hide nothing of each other
 
 
 class Behaviour(eqx.Module):
-    """How people's lines lie about what they mean; the defaults are no measurement of anybody.
+    """How people's lines scatter about what they mean; the defaults are not measured.
 
     Fields may carry the leading axes of the lines: a behaviour each.
     """
@@ -67,7 +67,7 @@ class Behaviour(eqx.Module):
 class Posterior(eqx.Module):
     """Of each line: probabilities that sum to 1 over the objects and `nothing`.
 
-    Of what is no line all numbers are NaN, that of `nothing` too, and it is `ambiguous`; see `posterior`.
+    Of an invalid line all values are NaN, `nothing` too, and `ambiguous` is true; see `posterior`.
     """
 
     probability: Float[Array, "*batch K"]
@@ -92,8 +92,8 @@ def posterior(
 ) -> Posterior:
     """Probability of each object and of nothing, given where lines point.
 
-    Nothing is raised for what is no line: a number that is not finite, a direction of no length, a negative variance.
-    Its result is NaN throughout, and so it is where prior or evidence are NaN.
+    Invalid lines yield NaN throughout, and nothing is raised: those with a non-finite value, a direction of length 0 or
+    a negative variance. So do lines whose prior or evidence is NaN.
 
     Args:
         lines: any leading axes; unit directions, corrected for bias.
@@ -177,15 +177,15 @@ def _of_line(
     first = jnp.max(chance)
     ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
     visible = jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0)
-    sound = _is_line(line) & ~jnp.isnan(total)
+    sound = _is_valid(line) & ~jnp.isnan(total)
     chance, rest, mass, visible, total = (
         jnp.where(sound, found, jnp.nan) for found in (chance, rest, mass, visible, total)
     )
     return Posterior(chance, rest, mass, visible, total, ~sound | ambiguous)
 
 
-def _is_line(line: PointingLine) -> Bool[Array, ""]:
-    """Whether all its numbers are finite, it has a direction, and no variance is negative beyond rounding."""
+def _is_valid(line: PointingLine) -> Bool[Array, ""]:
+    """Whether all its values are finite, it has a direction, and no variance is negative beyond rounding."""
     variance = jnp.diagonal(line.covariance)
     least = -_ROUNDING * jnp.max(jnp.abs(variance))
     finite = jax.tree.reduce(jnp.logical_and, jax.tree.map(lambda leaf: jnp.all(jnp.isfinite(leaf)), line))
