@@ -63,7 +63,7 @@ class View(eqx.Module):
     origin: Float[Array, "3"]  # m
     frame: Float[Array, "3 3"]  # rows: to the left of the line, up, and along it
     covariance: tuple[Float[Array, "2 2"], ...]  # of left and up: constant, linear, square part in 1 / depth
-    freedom: int | None = eqx.field(static=True)  # of Student's t, even; None: Gaussian
+    freedom: int | None = eqx.field(static=True)  # of Student's t; None: Gaussian
 
     @staticmethod
     def of(line: PointingLine, spread: Float[Array, "2 2"], freedom: int | None = None) -> View:
@@ -71,7 +71,7 @@ class View(eqx.Module):
 
         Args:
             spread: covariance of the direction on top of the line's own, to its left and up, rad^2.
-            freedom: None for a Gaussian; an even number of degrees of freedom for Student's t with that scale.
+            freedom: None for a Gaussian; the degrees of freedom of Student's t with that scale.
         """
         base = across(line.ray.direction)
         both = jnp.einsum("ij,ajbk,lk->aibl", base, line.covariance.reshape(2, 3, 2, 3), base)
