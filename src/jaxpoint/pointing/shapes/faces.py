@@ -74,7 +74,7 @@ class Faces(AbstractPrimitives):
     def point_distances(self, points: Array) -> Array:
         return jax.vmap(_point_to_face)(self._corners(points))
 
-    def silhouettes(self, origin: Array, frame: Array) -> Edges:
+    def silhouettes(self, origin: Array, frame: Array | None = None) -> Edges:
         corner, right, down = (in_frame(frame, v) for v in (self.corner - origin[None], self.right, self.down))
         facing = triple_product(corner, right, down)
         seen = ~self.solid | (facing > 0)

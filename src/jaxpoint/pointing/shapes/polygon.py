@@ -14,9 +14,9 @@ from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.pointing.mass import Edges, Vectors, angle
 
 
-def in_frame(frame: Float[Array, "3 3"], rows: Float[Array, "N 3"]) -> Vectors:
-    """Rows in another frame."""
-    x, y, z = (dot(rows, axis) for axis in frame)
+def in_frame(frame: Float[Array, "3 3"] | None, rows: Float[Array, "N 3"]) -> Vectors:
+    """Rows in another frame, or as they are."""
+    x, y, z = rows.T if frame is None else (dot(rows, axis) for axis in frame)
     return x, y, z
 
 

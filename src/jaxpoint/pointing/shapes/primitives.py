@@ -44,11 +44,11 @@ class AbstractPrimitives(eqx.Module):
         """From each one's own point to it, m; 0 within."""
 
     @abc.abstractmethod
-    def silhouettes(self, origin: Float[Array, "3"], frame: Float[Array, "3 3"]) -> Edges:
+    def silhouettes(self, origin: Float[Array, "3"], frame: Float[Array, "3 3"] | None = None) -> Edges:
         """The outline of each as seen from a place: a polygon of as many corners for all of the sort.
 
         Args:
-            frame: rows, the axes of the frame that the corners are in; its third axis is the depth.
+            frame: rows, the axes of the frame that the corners are in; None: those of the room.
         """
 
     @abc.abstractmethod
@@ -71,7 +71,7 @@ class AbstractPrimitives(eqx.Module):
 
     def angles(self, ray: Ray) -> Float[Array, " N"]:
         """From the ray to the nearest direction of each as seen from its origin, rad, 0..pi."""
-        start, _, _ = self.silhouettes(ray.origin, jnp.eye(3, dtype=ray.origin.dtype))
+        start, _, _ = self.silhouettes(ray.origin)
         corners = jnp.stack(start, axis=-1)
         to_edges = jax.vmap(partial(edge_angle, ray.direction), in_axes=1)(corners)
         return jnp.where(jnp.isfinite(self.meet(ray)[0]), 0.0, to_edges)
@@ -98,7 +98,7 @@ class AbstractPrimitives(eqx.Module):
 
     def solid_angles(self, origin: Float[Array, "3"]) -> Float[Array, " N"]:
         """Of each as seen from a place, sr; 0 for what looks away."""
-        return fan_solid_angle(self.silhouettes(origin, jnp.eye(3, dtype=origin.dtype)))
+        return fan_solid_angle(self.silhouettes(origin))
 
     @property
     def used(self) -> Bool[Array, " N"]:

@@ -84,7 +84,7 @@ class Spheres(AbstractPrimitives):
     def point_distances(self, points: Array) -> Array:
         return jnp.maximum(safe_norm(self.center - points) - self.radius, 0.0)
 
-    def silhouettes(self, origin: Array, frame: Array) -> Edges:
+    def silhouettes(self, origin: Array, frame: Array | None = None) -> Edges:
         """A polygon of the area of the circle as which each is seen; none from within."""
         gaps = self.center - origin[None]
         gap2 = jnp.sum(gaps**2, axis=1)
