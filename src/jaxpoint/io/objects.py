@@ -106,11 +106,14 @@ def known_tables() -> str:
 
 def length_suffix(header: Sequence[str]) -> str:
     """The unit at the end of the columns of lengths, such as "_cm"; empty where no column has one."""
-    lengths = [
-        column for shape in shapes().values() for field in shape.fields if not field.angle for column in field.columns
-    ]
-    found = [f"_{unit}" for unit in UNITS for column in lengths if f"{column}_{unit}" in header]
+    found = [f"_{unit}" for unit in UNITS for column in _lengths() if f"{column}_{unit}" in header]
     return found[0] if found else ""
+
+
+def _lengths() -> list[str]:
+    """The columns of lengths of all shapes, without a unit."""
+    fields = [field for shape in shapes().values() for field in shape.fields if not field.angle]
+    return [column for field in fields for column in field.columns]
 
 
 def file_columns(field: Field, suffix: str) -> tuple[str, ...]:
@@ -124,9 +127,9 @@ def _parse_csv(path: Path, text: str) -> list[Thing]:
     plain = shapes()[PLAIN]
     _check_shape_column(path, header, suffix)
     if header and not suffix and "unit" not in header:
+        first = next((column for column in _lengths() if column in header), _lengths()[0])
         raise FileFormatError(
-            f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the corners "
-            f"{plain.fields[0].columns[0]}_m and so on."
+            f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the columns {first}_m and so on."
         )
     own = ("shape",) if "shape" in header else ()
     used = [plain]
