@@ -20,12 +20,12 @@ from elevation_study import (
     unit,
 )
 from jaxpoint.geometry.angles import turned
-from jaxpoint.io.pointing_studies import read_torsalve
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import Kind, choose, fit, left_out, refit
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.score import bootstrap, errors_deg
 from jaxpoint.report.style import FAINT, PAGE, camera_colors
+from pointing_studies import read_torsalve
 
 LINES = ("head", "shoulder", "upper-arm", "forearm", "hand")
 NOTED = {"head": (4.60, -3.80, 0.79), "shoulder": (19.41, 3.65, 18.29), "upper-arm": (19.78, 12.80, 15.86),

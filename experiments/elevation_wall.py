@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 
 from elevation_study import ElevationBias, Row, over_triples, personal_turns
 from jaxpoint.geometry.angles import turned
-from jaxpoint.io.pointing_studies import WallPointings, read_schuetz
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import left_out
 from jaxpoint.pointing.bias.score import bootstrap, errors_deg
 from jaxpoint.report.style import PAGE, camera_colors
+from pointing_studies import WallPointings, read_schuetz
 
 FEEDBACKS = ("cursor", "hand", "none")
 

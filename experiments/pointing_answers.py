@@ -17,8 +17,9 @@ from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.joints import Joints, is_left
 from jaxpoint.pointing.line import KINDS, directions
-from jaxpoint.pointing.objects import NOTHING, Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes import Rectangle
 
 LINES = KINDS[:2]  # forearm and finger
 NOT_FOUND = {"name": None, "probability": 0.0, "error_deg": None, "line": None, "second": None}

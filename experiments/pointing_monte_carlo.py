@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from common_direction import common_direction
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
@@ -30,7 +31,6 @@ from jaxpoint.geometry.pose import Pose
 from jaxpoint.pointing.bias.models import AbstractModel, Constant
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Shapes
-from jaxpoint.pointing.planes import common_direction
 from jaxpoint.triangulation import triangulate
 from pointing_people import Gestures
 

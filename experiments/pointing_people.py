@@ -19,7 +19,8 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.people import AccurateSettings, ApproximateSettings, Normal, PeopleSettings, PointingSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.geometry.arrays import as_float
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.shapes import Rectangle
 from jaxpoint.simulate.furniture import NamedObject
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.bones import NUMBER

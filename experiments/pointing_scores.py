@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxpoint.answer.holds import arm_tracks, find_holds
 from jaxpoint.answer.lines import held_joints
-from jaxpoint.answer.thesis import thesis_line
 from jaxpoint.config.point import GestureSettings
 from session_pixels import GesturePixels
+from thesis_line import thesis_line
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,11 @@ import pytest
 from answer_rig import rig_of_three
 from scipy.stats import binom, binomtest
 
-from jaxpoint.answer.thesis import thesis_line
 from jaxpoint.detect.endpoints import Endpoints
 from jaxpoint.detect.region import Region
 from jaxpoint.detect.thesis import ThesisReason, ThesisRegion
 from pointing_evaluation import _error_by_chance, _reliability, _share, summary
+from thesis_line import thesis_line
 
 
 def test_shares_have_wilson_intervals():

@@ -35,8 +35,9 @@ from jaxpoint.person.promise import strips_axis
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import Constant
 from jaxpoint.pointing.bias.spread import Spread
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes import Rectangle
 from jaxpoint.simulate.scene import make_scene
 from jaxpoint.simulate.viewpoints import random_viewpoints, rig_of
 from jaxpoint.tracking.result import HeadTracks, Status, Tracking

@@ -26,8 +26,9 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.mass import across
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
+from jaxpoint.pointing.shapes import Rectangle
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0]), np.array([6.0, 5.0, 2.5])
 

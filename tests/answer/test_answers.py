@@ -9,8 +9,9 @@ import pytest
 from jaxpoint.answer.answers import Answer, Place, Scene, _by_words, _meant, _without_words
 from jaxpoint.answer.sentence import as_json
 from jaxpoint.answer.tables import gestures_table
-from jaxpoint.pointing.objects import NOTHING, Box, Objects, Sphere, Thing
+from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes import Box, Sphere
 
 THINGS = (
     Thing("doormat", Box(np.array([2.0, 0.3, 0.0]), 0.3 * np.ones(3)), "mat", ("door",)),

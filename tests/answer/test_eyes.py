@@ -15,9 +15,10 @@ from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.joints import estimated_covariance, other_eye
 from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes import Rectangle
 
 AIMING = np.array([0.9, 0.5, 0.99, 0.8, 0.02])
 PEOPLE = [7, 3, 7, 3, 3]

@@ -15,9 +15,10 @@ from jaxpoint.geometry.angles import azimuth_elevation
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.joints import estimated_covariance
 from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes import Rectangle
 
 PEOPLE = People(jnp.diag(jnp.deg2rad(jnp.array([5.0, 8.0])) ** 2), Behaviour(np.deg2rad(2.0), np.deg2rad(3.0)))
 WHO = [4, 9, 4, 2, 9, 4]

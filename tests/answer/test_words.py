@@ -7,7 +7,8 @@ import pytest
 
 from jaxpoint.answer.words import SIGMA_S, WINDOW_S, Word, evidence_of, pair_words, read_words
 from jaxpoint.errors import FileFormatError
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.shapes import Rectangle
 
 
 def said(*words):

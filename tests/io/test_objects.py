@@ -9,11 +9,13 @@ import pytest
 from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.objects import CORNERS, check_shape, read_objects
+from jaxpoint.io.objects import check_shape, read_objects
 from jaxpoint.io.objects_adding import append_object
-from jaxpoint.pointing.objects import Box, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Thing
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere, register, shapes
 from jaxpoint.simulate.rooms import random_room
 
+CORNERS = Rectangle.fields[0].columns
 HEAD = f"name,unit,kind,tags,{','.join(CORNERS)}"
 POSTER = np.array([[1.0, 0, 2], [2, 0, 2], [1, 0, 1], [2, 0, 1]])
 # The first row of table 1 of the thesis, in centimetres; its fourth corner, cut off in print, by the other three.
@@ -116,7 +118,78 @@ def test_a_bad_toml_is_refused(tmp_path, old, new, message):
         read_objects(tmp_path / "objects.toml")
 
 
-def test_shapes_with_numbers_that_are_none_are_refused():
+MIXED = """name,shape,center_x_cm,center_y_cm,center_z_cm,size_x_cm,size_y_cm,size_z_cm,yaw_deg,radius_cm,tags
+printer,box,300,200,100,40,30,20,30,,paper
+crate,Box,100,200,20,40,30,20,,,
+lamp,sphere,300,200,200,,,,,15,
+"""
+
+
+def mixed(tmp_path, old="", new=""):
+    path = tmp_path / "mixed.csv"
+    path.write_text(MIXED.replace(old, new, 1) if old else MIXED)
+    return path
+
+
+def test_a_table_with_a_column_shape_holds_every_shape(tmp_path):
+    printer, crate, lamp = read_objects(mixed(tmp_path)).things
+    np.testing.assert_allclose(printer.shape.numbers, [3, 2, 1, 0.4, 0.3, 0.2, np.pi / 6])
+    assert (type(crate.shape), crate.shape.yaw, printer.tags) == (Box, 0.0, ("paper",))
+    np.testing.assert_allclose(lamp.shape.numbers, [3, 2, 2, 0.15])
+    head = HEAD.replace("name,", "name,shape,") + ",center_x,center_y,center_z,radius"
+    rows = [row().replace("poster,", "poster,rectangle,") + 4 * ",", "ball,sphere,m,,," + 12 * "," + "1,2,1,0.5"]
+    poster, ball = read_objects(csv(tmp_path, *rows, head=head)).things
+    np.testing.assert_array_equal(poster.shape.corners, POSTER)
+    np.testing.assert_array_equal(ball.shape.numbers, [1, 2, 1, 0.5])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("lamp,sphere", "lamp,cone", "line 4: the shape is 'cone'; use rectangle, box or sphere"),
+        ("lamp,sphere", "lamp,", "line 4: column 'shape' is empty"),
+        ("lamp,sphere", "lamp,rectangle", "has no column 'lt_x_cm'"),
+        ("lamp,sphere", "lamp,box", "line 4: a box has no 'radius_cm', but it is 15; empty that cell, or correct the"),
+        ("20,30,,paper", "20,left,,paper", "line 2: column 'yaw_deg' is 'left', which is not a number"),
+        (",15,", ",,", "line 4: column 'radius_cm' is empty"),
+        (",15,", ",0.05,", r"line 4: 'lamp' has a radius of 0\.5 mm"),
+        ("40,30,20,30", "40,0,20,30", "line 2: 'printer' has a side of 0 mm"),
+        ("name,shape", "name,form", "has the columns of a box, but no column 'shape'; add it"),
+    ],
+)
+def test_a_bad_table_of_shapes_is_refused(tmp_path, old, new, message):
+    with pytest.raises(FileFormatError, match=message):
+        read_objects(mixed(tmp_path, old, new))
+
+
+def test_shapes_are_appended_to_a_table_that_has_their_columns(tmp_path):
+    path = mixed(tmp_path)
+    for name, shape in (("case", Box(np.ones(3), np.ones(3), 0.5)), ("ball", Sphere(POSTER[0], 0.2))):
+        append_object(path, Thing(name, shape))
+    *_, case, ball = read_objects(path).things
+    np.testing.assert_allclose(case.shape.numbers, [1, 1, 1, 1, 1, 1, 0.5], atol=1e-5)
+    np.testing.assert_allclose(ball.shape.numbers, [1, 0, 2, 0.2])
+    before = path.read_text()
+    for thing, column in ((Thing("new", Rectangle(POSTER)), "lt_x_cm"), (Thing("new", ball.shape, "toy"), "kind")):
+        with pytest.raises(UsageError, match=f"has no column '{column}'; add it to every line first, or "):
+            append_object(path, thing)
+    with pytest.raises(UsageError, match=r"has no column 'shape'; add it .*, or keep the sphere in a \.toml"):
+        append_object(csv(tmp_path, row()), Thing("new", ball.shape))
+    assert path.read_text() == before
+
+
+def test_a_shape_needs_a_name_of_its_own():
+    class Other(Sphere):
+        name = "room"
+
+    for name, message in (("room", "'room', which cannot stand in files"), ("box", "There is a shape 'box' already")):
+        Other.name = name
+        with pytest.raises(ValueError, match=message):
+            register(Other)
+    assert list(shapes()) == ["rectangle", "box", "sphere"]
+
+
+def test_non_finite_shapes_are_refused():
     for shape in (
         Rectangle(np.where(POSTER == 2, np.nan, POSTER)),
         Box(POSTER[0], np.array([1, np.inf, 1])),
@@ -259,10 +332,42 @@ def test_the_commands_list_check_and_add(tmp_path, capsys):
     assert read_objects(path).things[-1].tags == ("a", "b")
 
 
+def test_the_command_adds_every_shape(tmp_path, capsys):
+    (tmp_path / "objects.toml").write_text(TOML)
+    words = ("objects", "add", tmp_path / "objects.toml", "--name")
+    code, out, err = run(capsys, *words, "ball", "--shape", "sphere", "--measures", "radius", 0.2, "center", 1, -2, 1)
+    assert (code, "Added 'ball'" in out, "0.400 m, a sphere, measured." in out) == (0, True, True), err
+    box = ("--shape", "box", "--measures", "center", 3, 2, 1, "size", 0.1, 0.2, 0.3)
+    assert run(capsys, *words, "plain", *box)[0] == 0
+    code, out, err = run(capsys, *words, "turned", *box, "yaw_deg", 45, "--json")
+    assert code == 0, err
+    assert json.loads(out)["size_m"] == [0.1, 0.2, 0.3]
+    found = {thing.name: thing.shape.numbers for thing in read_objects(tmp_path / "objects.toml").things}
+    np.testing.assert_allclose(found["ball"], [1, -2, 1, 0.2])
+    np.testing.assert_allclose(found["plain"], [3, 2, 1, 0.1, 0.2, 0.3, 0.0])
+    np.testing.assert_allclose(found["turned"], [3, 2, 1, 0.1, 0.2, 0.3, np.pi / 4])
+
+
+BALL = ["add", "--name", "x", "--shape", "sphere"]
+
+
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
         (["add", "--name", "x"], 2, "either --corners"),
+        (
+            ["add", "--name", "x", "--shape", "cone", "--measures", "a"],
+            2,
+            "no shape 'cone'; choose among rectangle, box",
+        ),
+        ([*BALL, "--corners", *12 * ["1"]], 2, "is not described by points; give --measures center X Y Z radius VALUE"),
+        ([*BALL, "--measures", "1", "2"], 2, "--measures begins with '1'; a sphere takes center X Y Z radius VALUE"),
+        ([*BALL, "--measures", "radius", "big"], 2, "--measures has 'big', which is no finite number"),
+        ([*BALL, "--measures", "radius", "nan"], 2, "--measures has 'nan', which is no finite number"),
+        ([*BALL, "--measures", "radius", "1", "radius", "1"], 2, "--measures has 'radius' twice"),
+        ([*BALL, "--measures", "radius", "1"], 2, "has 0 numbers for 'center' where 3 are needed"),
+        ([*BALL, "--measures", "center", "1", "0", "0", "radius", "0"], 7, "'x' has a radius of 0 mm"),
+        ([*BALL, "--measures", "center", "1", "0", "0", "radius", "1"], 2, "has no column 'shape'"),
         (["add", "--name", "x", "--corners", "1", "2"], 2, "has 2 numbers"),
         (["add", "--name", "x", "--views", "clicks.csv"], 2, "needs the cameras"),
         (["add", "--name", "poster", "--corners", *map(str, POSTER.ravel())], 7, "named 'poster'"),

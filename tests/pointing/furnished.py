@@ -3,7 +3,8 @@
 import numpy as np
 
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 
 
 def turn(rng) -> np.ndarray:

@@ -13,8 +13,11 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import MOST, intersect
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.room import MARGIN_M, SURFACES, Room, end_in_room
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
+from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
+from jaxpoint.pointing.shapes.sphere import Spheres
 
 COUNT = 64
 
@@ -156,6 +159,34 @@ def test_nearest_of_spheres_and_boxes_and_what_lies_behind():
     np.testing.assert_allclose(found.measure[:2], [ball, np.arctan2(0.9, 2.5)], atol=1e-9)
     across = nearest(Ray([0.0, 0, 0], [1.0, 0, 0]), Objects.of(listed), "distance")
     np.testing.assert_allclose(across.measure[:2], [0.5, 0.9], atol=1e-9)
+
+
+def test_what_holds_for_all_convex_primitives_agrees_with_closed_forms():
+    """Searched distances, and angles by the polygon of 12 corners that has the area of a sphere's outline."""
+    spheres = Objects.of(things(6, rectangles=0, boxes=0, spheres=8)).shapes.primitives[0]
+    line = Ray(np.array([3.0, 2.5, 1.3]), np.array([0.6, 0.0, 0.8]))
+
+    @jit_once
+    def both(spheres):
+        ways = AbstractPrimitives, Spheres
+        return [
+            (way.distances(spheres, line), way.angles(spheres, line), way.solid_angles(spheres, line.origin))
+            for way in ways
+        ]
+
+    (distance, angle, solid), exact = both(spheres)
+    assert (np.asarray(exact[0]) > 0).sum() > 4
+    np.testing.assert_allclose(distance, exact[0], atol=1e-8)
+    np.testing.assert_allclose(angle, exact[1], atol=0.02)
+    np.testing.assert_allclose(solid, exact[2], rtol=0.02)
+
+
+def test_an_object_has_its_middle_and_its_extremes():
+    listed = things(2, rectangles=2, boxes=2, spheres=2)
+    objects = Objects.of(listed)
+    low, high = (np.stack(side) for side in zip(*(thing.shape.bounds for thing in listed)))
+    np.testing.assert_allclose(objects.middles, (low + high) / 2, atol=1e-12)
+    np.testing.assert_allclose(objects.bounds, [low.min(axis=0), high.max(axis=0)], atol=1e-12)
 
 
 def test_another_measure_is_refused():

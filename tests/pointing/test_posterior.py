@@ -1,4 +1,6 @@
-"""Masses against Monte Carlo and scipy, probabilities against what they promise, words."""
+"""Masses against Monte Carlo and scipy, probabilities against relative frequencies, words."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -11,15 +13,21 @@ from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.mass import across, angle, masses, solid_angles
-from jaxpoint.pointing.objects import Box, Objects, Rectangle, Sphere, Thing
+from jaxpoint.pointing.mass import View, across, angle
+from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.posterior import Behaviour, posterior
+from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 from jaxpoint.pointing.words import words_evidence
 
 TIP = np.array([3.0, 2.5, 1.3])
 AHEAD = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
 SPREAD = np.deg2rad([4.0, 3.0])
-MASSES = jit_once(masses, static_argnames="freedom")
+
+
+@partial(jit_once, static_argnames="freedom")
+def masses(line, shapes, spread, freedom):
+    view = View.of(line, spread, freedom)
+    return shapes.each(lambda own: own.masses(view))
 
 
 def line(covariance=None, direction=AHEAD) -> PointingLine:
@@ -48,7 +56,7 @@ def furnished() -> list[Thing]:
 
 
 def masses_of(line, freedom):
-    return np.asarray(MASSES(line, Objects.of(furnished()).shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom))
+    return np.asarray(masses(line, Objects.of(furnished()).shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom))
 
 
 @pytest.mark.parametrize("freedom", [None, 2, 4, 10])
@@ -87,10 +95,10 @@ def test_masses_are_those_of_monte_carlo_for_every_shape(freedom):
 
 
 def met_share(objects, origins, directions):
-    """The share of rays that meet each part, in numpy."""
-    s = jax.tree.map(np.asarray, objects.shapes)
+    """The share of rays that meet each primitive, in numpy."""
+    faces, *spheres = jax.tree.map(np.asarray, objects.shapes.primitives)
     shares = []
-    for corner, right, down, solid in zip(s.corner, s.right, s.down, s.solid):
+    for corner, right, down, solid in zip(faces.corner, faces.right, faces.down, faces.solid):
         normal = np.cross(down, right)
         closing = directions @ normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -100,7 +108,7 @@ def met_share(objects, origins, directions):
             ahead = (reach > 0) & ((closing < 0) | ~solid)
             shares.append(np.mean(ahead & (u >= 0) & (u <= 1) & (v >= 0) & (v <= 1)))
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    for center, radius in zip(s.center, s.radius):
+    for center, radius in zip(spheres[0].center, spheres[0].radius) if spheres else ():
         gap = center - origins
         along = np.sum(gap * unit, axis=1)
         shares.append(np.mean((along > 0) & (np.sum(gap**2, axis=1) - along**2 < radius**2)))
@@ -120,7 +128,8 @@ def test_a_table_around_the_tip_has_the_mass_of_its_part_ahead():
 
 def test_solid_angles():
     listed = [Thing("wall", facing(0, 0, 0.02, 0.01, 3.0)), Thing("ball", Sphere(TIP + 2 * AHEAD, 1.0))]
-    found = jit_once(solid_angles)(jnp.asarray(TIP), Objects.of(listed).shapes)
+    tip, shapes = jnp.asarray(TIP), Objects.of(listed).shapes
+    found = jit_once(lambda tip, shapes: shapes.each(lambda own: own.solid_angles(tip)))(tip, shapes)
     assert float(found[0]) == pytest.approx(2e-4, rel=1e-3)
     assert float(found[8]) == pytest.approx(2 * np.pi * (1 - np.sqrt(3) / 2))
 
@@ -171,8 +180,8 @@ def test_reverse_derivatives_of_the_angle_of_an_edge():
 
 
 @pytest.mark.parametrize("aimed", [1.0, 0.5])
-def test_probabilities_are_kept_by_people_who_behave_as_assumed(aimed):
-    """Of the answers given with a probability p, p are right: whoever is simulated means any object, or none."""
+def test_probabilities_are_relative_frequencies_for_people_who_behave_as_assumed(aimed):
+    """Of the answers given with a probability p, p are right: simulated people mean any object, or none."""
     rng = np.random.default_rng(2)
     listed = [Thing(str(i), facing(*rng.uniform(-0.5, 0.5, 2), *rng.uniform(0.04, 0.3, 2))) for i in range(12)]
     behaviour = Behaviour(*SPREAD, freedom=4, nothing=0.1, hidden=1.0, aimed=aimed)
@@ -201,7 +210,7 @@ def test_probabilities_are_kept_by_people_who_behave_as_assumed(aimed):
     assert best.min() < 0.5 < 0.9 < best.max()  # all kinds of answers are among them
 
 
-def test_what_is_hidden_counts_less_and_doubt_is_told():
+def test_occluded_parts_count_less_and_ambiguity_is_reported():
     listed = [Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0, 0, 0.2, 0.2, 2.0))]
     objects = Objects.of(listed)
     found = posterior(line(), objects, Behaviour(hidden=0.1, nothing=0.01))
@@ -217,8 +226,8 @@ def test_what_is_hidden_counts_less_and_doubt_is_told():
     assert float(beyond.nothing) > 0.99
 
 
-def test_what_is_no_line_has_no_probabilities():
-    """Nor takes those of its neighbours; a variance of 0 but for rounding is none below 0."""
+def test_invalid_lines_have_no_probabilities():
+    """Their neighbours keep theirs; a variance that is rounded to just below 0 is valid."""
     objects = Objects.of([Thing("front", facing(0, 0, 0.2, 0.2, 1.0)), Thing("back", facing(0.1, 0, 0.2, 0.2, 2.0))])
     each = [
         line(np.diag([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, -1e-13])),

@@ -10,7 +10,8 @@ from jaxpoint.config.people import PeopleSettings, PointingSettings
 from jaxpoint.config.simulation import SceneSettings
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.objects import Objects, Rectangle, Thing
+from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.shapes import Rectangle
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.people.sight import seen_place
 from jaxpoint.simulate.scene import make_scene

@@ -23,7 +23,6 @@ from jaxpoint.io.objects import MAX_ROOM_M, Database, read_objects
 from jaxpoint.io.session import Session
 from jaxpoint.person.following import Following
 from jaxpoint.person.notes import merged_notes
-from jaxpoint.pointing.objects import Objects, face_corners
 from jaxpoint.pointing.room import Room
 
 
@@ -68,7 +67,7 @@ def scene_of(path: Path, room: Room | None = None) -> tuple[Scene, Database]:
     with jax.enable_x64(True):
         objects = database.objects
         shown = Room.around(objects) if room is None else room
-        return Scene(objects, _centres(objects), shown, room is not None), database
+        return Scene(objects, objects.middles, shown, room is not None), database
 
 
 def room_of(extent: RoomExtent) -> Room | None:
@@ -145,30 +144,6 @@ def pointed(
     notes = (*merged_notes([*session.notes, *watched]), *_notes(scene, camera_covariance is not None))
     where = tuple(int(moment) for moment in held.moments), tuple(hold.person for hold in holds)
     return Pointed(tuple(found), *where, scene, notes)
-
-
-def faces_of(objects: Objects) -> dict[str, list[Float[np.ndarray, "N 3"]]]:
-    """Outlines of the faces of every object, m; of a sphere three great circles."""
-    shapes = objects.shapes
-    corners = np.asarray(face_corners(shapes))
-    owner, used = np.asarray(shapes.owner), np.asarray(np.abs(shapes.right).sum(axis=1) > 0)
-    faces: dict[str, list[np.ndarray]] = {name: [] for name in objects.names}
-    for face in np.flatnonzero(used):
-        faces[objects.names[owner[face]]].append(corners[face])
-    turn = np.linspace(0, 2 * np.pi, 25)
-    ring = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    for i in np.flatnonzero(np.asarray(shapes.radius) > 0):
-        circles = [np.asarray(shapes.center[i]) + float(shapes.radius[i]) * ring[:, order] for order in _PLANES]
-        faces[objects.names[owner[len(corners) + i]]] += circles
-    return faces
-
-
-_PLANES = ([0, 1, 2], [0, 2, 1], [2, 0, 1])
-
-
-def _centres(objects: Objects) -> Float[np.ndarray, "K 3"]:
-    faces = faces_of(objects)
-    return np.array([np.mean([face.mean(axis=0) for face in faces[name]], axis=0) for name in objects.names])
 
 
 def _given(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.answer.answers import Answer
-from jaxpoint.answer.pipeline import Pointed, faces_of
+from jaxpoint.answer.pipeline import Pointed
 from jaxpoint.answer.sentence import sentence
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detect.colour import Image
@@ -32,7 +32,7 @@ def room_scene(pointed: Pointed, rig: CameraRig) -> RoomScene:
     """The room, its objects and cameras, for the figures in 3-D."""
     room = pointed.scene.room
     low, high = np.asarray(room.low), np.asarray(room.high)
-    return RoomScene(low, high, faces_of(pointed.scene.objects), np.asarray(rig.positions), rig.names)
+    return RoomScene(low, high, pointed.scene.objects.outlines, np.asarray(rig.positions), rig.names)
 
 
 def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | None]]:
@@ -64,7 +64,7 @@ def gestures_shown(
         missing: takes a sentence for each picture that could not be made.
     """
     assert session.rig is not None
-    faces = faces_of(pointed.scene.objects)
+    faces = pointed.scene.objects.outlines
     shown = []
     for i, answer in enumerate(pointed.answers):
         sheet = None
@@ -171,7 +171,7 @@ def _view(
     title = rig.names[camera]
     if own is None or own.reason != ArmReason.FOUND:
         why = "no arm" if own is None else own.reason.name.lower().replace("_", " ")
-        return PointingView(image, title, outlines, line, reason=f"no say: {why}")
+        return PointingView(image, title, outlines, line, reason=f"not used: {why}")
     return PointingView(image, title, outlines, line, _pair(own.tip), _pair(own.base))
 
 

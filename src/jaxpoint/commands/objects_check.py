@@ -17,15 +17,15 @@ from jaxpoint.errors import UsageError
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectsCheck(Options):
-    """Check a database of objects: how plane and how large they are, which overlap, which lie outside of the room.
+    """Check a database of objects: how plane and how large they are, which overlap, which lie outside the room.
 
     jaxpoint objects check objects.csv --room-low 0 0 0 --room-high 6 5 3
 
-    A file that cannot be used (no unit, a name twice, a twisted rectangle) is an error; what is merely odd is listed.
+    A file that cannot be used (no unit, a name twice, a twisted rectangle) is an error; unusual values are listed.
     """
 
     objects: Annotated[Path, tyro.conf.Positional]
-    """Database: a CSV file of rectangles (name, unit, four corners) or a TOML file (rectangles, boxes, spheres)."""
+    """Database: a CSV or TOML file of rectangles, boxes and spheres."""
     room_low: tuple[float, float, float] | None = None
     """Lowest x, y and z of the room, m; else those of the database, where it is a TOML file with a [room]."""
     room_high: tuple[float, float, float] | None = None

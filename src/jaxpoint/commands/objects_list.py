@@ -22,7 +22,7 @@ class ObjectsList(Options):
     """
 
     objects: Annotated[Path, tyro.conf.Positional]
-    """Database: a CSV file of rectangles (name, unit, four corners) or a TOML file (rectangles, boxes, spheres)."""
+    """Database: a CSV or TOML file of rectangles, boxes and spheres."""
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> ObjectsList:

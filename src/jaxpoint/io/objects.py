@@ -1,8 +1,10 @@
 """The database of objects, a CSV or a TOML file.
 
-CSV, rectangles only: `name`, `lt_x,lt_y,lt_z,rt_x,...,lb_x,...,rb_x,...` (left-top, right-top, left-bottom,
-right-bottom), and optionally `kind` and `tags` (words between spaces). The unit (m, cm or mm) stands in a column
-`unit`, or at the end of the corners' columns: `lt_x_cm`.
+CSV: `name`, and of a rectangle `lt_x,lt_y,lt_z,rt_x,...,lb_x,...,rb_x,...` (left-top, right-top, left-bottom,
+right-bottom). With a column `shape` a line may be of any shape: a box has `center_x` to `center_z`, `size_x` to
+`size_z` and optionally `yaw_deg`, a sphere `center_x` to `center_z` and `radius`; columns of other shapes stay empty in
+it. `kind` and `tags` (words between spaces) are optional. The unit (m, cm or mm) stands in a column `unit`, or at the
+end of the columns of all lengths: `lt_x_cm`.
 
 TOML: a `unit`, optionally `[room]` with `low` and `high`, and any number of
 
@@ -10,7 +12,8 @@ TOML: a `unit`, optionally `[room]` with `low` and `high`, and any number of
     [[box]]        name, center, size, and optionally yaw_deg, by which it is turned about the vertical
     [[sphere]]     name, center, radius
 
-each with `kind` and `tags` where wanted.
+each with `kind` and `tags` where wanted. Both hold every other registered shape (`jaxpoint.pointing.shapes`) too, under
+its name and with its fields.
 
 No object is named `nothing`: that is the answer where none is meant.
 """
@@ -19,35 +22,32 @@ from __future__ import annotations
 
 import tomllib
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jax
 import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text
-from jaxpoint.pointing.objects import NOTHING, Box, Objects, Rectangle, Shape, Sphere, Thing, flat_rectangle
+from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes.registry import shapes
+from jaxpoint.pointing.shapes.shape import AbstractShape, Field
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-CORNERS = tuple(f"{corner}_{axis}" for corner in ("lt", "rt", "lb", "rb") for axis in "xyz")
-MAX_RESIDUAL_M = 0.05
+PLAIN = "rectangle"  # the shape of every line of a CSV file that has no column `shape`
 MAX_ROOM_M = 100.0
 USUAL_SPAN_M = (1.0, 30.0)  # of all objects together; beyond these the unit is often wrong
 FARTHEST_M = 1e8  # from the origin, which may be that of a map
-MIN_SIDE_M = 0.001
-_LAYOUT = (
-    "it must hold unit, and may hold [room] (low, high), [[rectangle]] (name, corners), [[box]] (name, center, size, "
-    "yaw_deg) and [[sphere]] (name, center, radius), all with kind and tags"
-)
 
 
 @dataclass(frozen=True)
 class Database:
-    """What a file of objects says."""
+    """The contents of a file of objects."""
 
     things: tuple[Thing, ...]
     room: Room | None  # where the file gives it
@@ -64,104 +64,145 @@ def read_objects(path: StrPath) -> Database:
     """Read a database of objects; lengths become metres.
 
     Raises:
-        FileFormatError: no unit, a missing or wrong value, a name twice or that cannot be one, a rectangle that is
+        FileFormatError: no unit, a missing or wrong value, a name twice or that cannot be one, a shape that is
             twisted or has no size, or objects too far apart for a room.
     """
     path = Path(path)
     return parse_objects(path, read_text(path))
 
 
-def check_shape(shape: Shape, name: str) -> None:
+def check_shape(shape: AbstractShape, name: str) -> None:
     """Refuse what nobody can point at.
 
     Raises:
-        FileFormatError: a number that is not finite, a size that is not positive, or corners in another order.
+        FileFormatError: a non-finite value, a size that is not positive, or corners in another order.
     """
-    numbers = numbers_of(shape)
+    numbers = shape.numbers
     wrong = numbers[~(np.abs(numbers) < FARTHEST_M)]
     if wrong.size:
         raise FileFormatError(f"{name} has a coordinate or a size of {wrong[0]:g} m; correct that number.")
-    if isinstance(shape, Sphere):
-        what, smallest = "radius", shape.radius
-    elif isinstance(shape, Box):
-        what, smallest = "side", float(np.min(shape.size))
-    else:
-        what, smallest = "side", _smallest_side(shape, name)
-    smallest = round(smallest, 6)
-    if smallest < MIN_SIDE_M:
-        raise FileFormatError(
-            f"{name} has a {what} of {1000 * smallest:g} mm; an object needs at least {1000 * MIN_SIDE_M:.0f} mm, so "
-            "correct the unit, or measure it again."
-        )
+    fault = shape.fault()
+    if fault is not None:
+        raise FileFormatError(f"{name} {fault}")
 
 
 def parse_objects(path: Path, text: str) -> Database:
+    """As `read_objects`, of the text of a file."""
     things, room = _parse_toml(path, text) if is_toml(path) else (_parse_csv(path, text), None)
     check_names(path, things)
     span = check_span(path, things)
-    return Database(tuple(things), room, (*_bent(things), *_unusual(span)))
+    return Database(tuple(things), room, (*_doubts(things), *_unusual(span)))
 
 
 def is_toml(path: Path) -> bool:
+    """Whether a file is TOML by its name; else it is CSV."""
     return path.suffix.lower() == ".toml"
 
 
-def numbers_of(shape: Shape) -> Float[np.ndarray, " n"]:
-    """All lengths (m) and angles (rad) of a shape."""
-    if isinstance(shape, Sphere):
-        return np.array([*shape.center, shape.radius], float)
-    if isinstance(shape, Box):
-        return np.array([*shape.center, *shape.size, shape.yaw], float)
-    return np.asarray(shape.corners, float).ravel()
+def known_tables() -> str:
+    """The tables of TOML that hold an object, in words."""
+    return _either([f"[[{name}]]" for name in shapes()])
 
 
-def _smallest_side(shape: Rectangle, name: str) -> float:
-    left_top, right_top, left_bottom, right_bottom = np.asarray(shape.corners)
-    top, bottom, left, right = (
-        right_top - left_top,
-        right_bottom - left_bottom,
-        left_bottom - left_top,
-        right_bottom - right_top,
-    )
-    sides = [float(np.linalg.norm(side)) for side in (top, bottom, left, right)]
-    if min(sides) < MIN_SIDE_M:
-        return min(sides)
-    for one, other, what in ((top, bottom, "top and bottom"), (left, right, "left and right side")):
-        cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
-        if cosine < 0.5:
-            angle = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
-            raise FileFormatError(
-                f"{name} is twisted: its {what} are {angle:.0f} degrees apart; give the corners in the order left-top, "
-                "right-top, left-bottom, right-bottom."
-            )
-    _, across, down = flat_rectangle(shape.corners)[0]
-    narrow = float(np.linalg.norm(np.cross(across, down)) / max(np.linalg.norm(across), np.linalg.norm(down)))
-    if narrow < MIN_SIDE_M / 1000:
-        raise FileFormatError(f"{name} has all corners on one line, so that its area is 0; measure them again.")
-    return narrow
+def length_suffix(header: Sequence[str]) -> str:
+    """The unit at the end of the columns of lengths, such as "_cm"; empty where no column has one."""
+    found = [f"_{unit}" for unit in UNITS for column in _lengths() if f"{column}_{unit}" in header]
+    return found[0] if found else ""
+
+
+def _lengths() -> list[str]:
+    """The columns of lengths of all shapes, without a unit."""
+    fields = [field for shape in shapes().values() for field in shape.fields if not field.angle]
+    return [column for field in fields for column in field.columns]
+
+
+def file_columns(field: Field, suffix: str) -> tuple[str, ...]:
+    """The columns of a field in a CSV file whose lengths end so."""
+    return field.columns if field.angle else tuple(f"{column}{suffix}" for column in field.columns)
 
 
 def _parse_csv(path: Path, text: str) -> list[Thing]:
     header = parse_header(path, text)
-    suffixes = [f"_{unit}" for unit in UNITS if f"{CORNERS[0]}_{unit}" in header]
-    suffix = suffixes[0] if suffixes else ""
+    suffix = length_suffix(header)
+    plain = shapes()[PLAIN]
+    _check_shape_column(path, header, suffix)
     if header and not suffix and "unit" not in header:
+        first = next((column for column in _lengths() if column in header), _lengths()[0])
         raise FileFormatError(
-            f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the corners {CORNERS[0]}_m and so on."
+            f"{path} says no unit; add a column 'unit' (m, cm or mm), or name the columns {first}_m and so on."
         )
+    own = ("shape",) if "shape" in header else ()
+    used = [plain]
+    if own:
+        used = list(dict.fromkeys(_shape_of(row) for row in parse_table(path, text, ("name", *own))))
     unit = () if suffix else ("unit",)
-    rows = parse_table(path, text, ("name", *unit, *(f"{column}{suffix}" for column in CORNERS)))
-    return [_thing(row, suffix) for row in rows]
+    rows = parse_table(path, text, ("name", *own, *unit, *_length_columns(header, used, suffix)))
+    return [_thing(row, _shape_of(row) if own else plain, suffix) for row in rows]
 
 
-def _thing(row: Row, suffix: str) -> Thing:
+def _check_shape_column(path: Path, header: Sequence[str], suffix: str) -> None:
+    """Refuse a table that has the columns of another shape than the plain one, but does not say so."""
+    if "shape" in header or set(file_columns(shapes()[PLAIN].fields[0], suffix)) & set(header):
+        return
+    for shape in shapes().values():
+        needed = [field for field in shape.fields if field.default is None]
+        if all(column in header for field in needed for column in file_columns(field, suffix)):
+            raise FileFormatError(
+                f"{path} has the columns of a {shape.name}, but no column 'shape'; add it, with the name of each "
+                "line's shape."
+            )
+
+
+def _length_columns(header: Sequence[str], used: Sequence[type[AbstractShape]], suffix: str) -> list[str]:
+    """The columns of values that must be there, and those that are there: these keep their unit."""
+    known = [(shape, field) for shape in (*used, *shapes().values()) for field in shape.fields]
+    needed = [
+        column
+        for shape, field in known
+        for column in file_columns(field, suffix)
+        if column in header or (shape in used and field.default is None)
+    ]
+    return list(dict.fromkeys(needed))
+
+
+def _shape_of(row: Row) -> type[AbstractShape]:
+    known = shapes()
+    name = row.text("shape").casefold()
+    if name not in known:
+        raise row.error(f"the shape is '{row.text('shape')}'; use {_either(list(known))}.")
+    return known[name]
+
+
+def _thing(row: Row, shape: type[AbstractShape], suffix: str) -> Thing:
     unit = suffix[1:] or row.text("unit")
     if unit not in UNITS:
         raise row.error(f"the unit is '{unit}'; use m, cm or mm.")
-    corners = UNITS[unit] * np.array([row.number(f"{column}{suffix}") for column in CORNERS]).reshape(4, 3)
-    shape = Rectangle(corners)
-    check_shape(shape, f"{row.path}, line {row.line}: '{row.text('name')}'")
-    return Thing(row.text("name"), shape, row.values.get("kind", ""), tuple(row.values.get("tags", "").split()))
+    _check_cells(row, shape, suffix)
+    values = [field.from_file(_cells(row, field, suffix), UNITS[unit]) for field in shape.fields]
+    found = shape(*values)
+    check_shape(found, f"{row.path}, line {row.line}: '{row.text('name')}'")
+    return Thing(row.text("name"), found, row.values.get("kind", ""), tuple(row.values.get("tags", "").split()))
+
+
+def _cells(row: Row, field: Field, suffix: str) -> Any:
+    """The numbers of a field, in the file's unit."""
+    columns = file_columns(field, suffix)
+    if field.default is not None and all(row.missing(column) for column in columns):
+        return field.default
+    numbers = np.array([row.number(column) for column in columns])
+    return numbers.reshape(field.size) if field.size else float(numbers[0])
+
+
+def _check_cells(row: Row, shape: type[AbstractShape], suffix: str) -> None:
+    """Refuse a value that only another shape has: either it or the shape is wrong."""
+    own = {column for field in shape.fields for column in file_columns(field, suffix)}
+    every = {column for other in shapes().values() for field in other.fields for column in file_columns(field, suffix)}
+    extra = [column for column in row.values if column in every - own and not row.missing(column)]
+    if extra and "shape" in row.values:
+        raise row.error(
+            f"a {shape.name} has no '{extra[0]}', but it is {row.values[extra[0]]}; empty that cell, or correct the "
+            "shape."
+        )
 
 
 class _Extent(msgspec.Struct, forbid_unknown_fields=True):
@@ -175,27 +216,20 @@ class _Entry(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
     tags: tuple[str, ...] = ()
 
 
-class _Rectangle(_Entry, kw_only=True):
-    corners: tuple[tuple[float, float, float], ...]
+def _file_type() -> type[msgspec.Struct]:
+    """What a TOML file holds: a table of every registered shape."""
+    tables = []
+    for name, shape in shapes().items():
+        entry = msgspec.defstruct(name, [_key(field) for field in shape.fields], bases=(_Entry,), kw_only=True)
+        tables.append((name, tuple[entry, ...], ()))
+    every = [("unit", str), ("room", _Extent | None, None), *tables]
+    return msgspec.defstruct("File", every, kw_only=True, forbid_unknown_fields=True)
 
 
-class _Box(_Entry, kw_only=True):
-    center: tuple[float, float, float]
-    size: tuple[float, float, float]
-    yaw_deg: float = 0.0
-
-
-class _Sphere(_Entry, kw_only=True):
-    center: tuple[float, float, float]
-    radius: float
-
-
-class _File(msgspec.Struct, forbid_unknown_fields=True):
-    unit: str
-    room: _Extent | None = None
-    rectangle: tuple[_Rectangle, ...] = ()
-    box: tuple[_Box, ...] = ()
-    sphere: tuple[_Sphere, ...] = ()
+def _key(field: Field) -> tuple:
+    three = tuple[float, float, float]
+    kind = float if not field.size else tuple[three, ...] if field.points else three
+    return (field.name, kind) if field.default is None else (field.name, kind, field.default)
 
 
 def _parse_toml(path: Path, text: str) -> tuple[list[Thing], Room | None]:
@@ -207,36 +241,45 @@ def _parse_toml(path: Path, text: str) -> tuple[list[Thing], Room | None]:
         raise FileFormatError(f'{path} says no unit; put unit = "m" (or cm, mm) into its first line.')
     try:
         check_finite(raw)
-        file = msgspec.convert(raw, _File)
+        file: Any = msgspec.convert(raw, _file_type())
     except msgspec.ValidationError as error:  # which is a ValueError too
-        raise FileFormatError(f"{path} cannot be used: {error}; {_LAYOUT}.") from None
+        raise FileFormatError(f"{path} cannot be used: {error}; {_layout()}.") from None
     except ValueError as error:
         raise FileFormatError(f"{path} cannot be used: {error}; correct it.") from None
     if file.unit not in UNITS:
         raise FileFormatError(f"{path}: the unit is '{file.unit}'; use m, cm or mm.")
     scale = UNITS[file.unit]
     things = [
-        Thing(entry.name, _shape(path, entry, scale), entry.kind, entry.tags)
-        for entry in (*file.rectangle, *file.box, *file.sphere)
+        Thing(entry.name, _shape(path, shape, entry, scale), entry.kind, entry.tags)
+        for name, shape in shapes().items()
+        for entry in getattr(file, name)
     ]
     if not things:
-        raise FileFormatError(f"{path} holds 0 objects; add [[rectangle]], [[box]] or [[sphere]].")
+        raise FileFormatError(f"{path} holds 0 objects; add {known_tables()}.")
     return things, None if file.room is None else _room(path, file.room, scale)
 
 
-def _shape(path: Path, entry: _Entry, scale: float) -> Shape:
+def _shape(path: Path, shape: type[AbstractShape], entry: _Entry, scale: float) -> AbstractShape:
     name = f"{path}: '{entry.name}'"
-    if isinstance(entry, _Rectangle):
-        if len(entry.corners) != 4:
-            raise FileFormatError(f"{name} has {len(entry.corners)} corners; a rectangle has 4.")
-        shape: Shape = Rectangle(scale * np.array(entry.corners))
-    elif isinstance(entry, _Box):
-        shape = Box(scale * np.array(entry.center), scale * np.array(entry.size), float(np.deg2rad(entry.yaw_deg)))
-    else:
-        assert isinstance(entry, _Sphere)
-        shape = Sphere(scale * np.array(entry.center), scale * entry.radius)
-    check_shape(shape, name)
-    return shape
+    for field in shape.fields:
+        found = len(getattr(entry, field.name)) if field.points else 0
+        if found != len(field.points):
+            raise FileFormatError(f"{name} has {found} {field.name}; a {shape.name} has {len(field.points)}.")
+    made = shape(*(field.from_file(getattr(entry, field.name), scale) for field in shape.fields))
+    check_shape(made, name)
+    return made
+
+
+def _layout() -> str:
+    """What a TOML file holds, in words."""
+    tables = [
+        f"[[{name}]] (name, {', '.join(field.name for field in shape.fields)})" for name, shape in shapes().items()
+    ]
+    return f"it must hold unit, and may hold [room] (low, high), {_either(tables, 'and')}, all with kind and tags"
+
+
+def _either(words: Sequence[str], word: str = "or") -> str:
+    return f"{', '.join(words[:-1])} {word} {words[-1]}"
 
 
 def _room(path: Path, extent: _Extent, scale: float) -> Room:
@@ -255,13 +298,18 @@ def _room(path: Path, extent: _Extent, scale: float) -> Room:
 
 
 def name_fault(name: str) -> str | None:
-    """What keeps a word from being a name."""
+    """The fault of a word that cannot be a name."""
     if name.strip().splitlines() != [name]:
         return "is empty, or has a line break or spaces around it"
     return "is the answer where no object is meant" if name.lower() == NOTHING else None
 
 
 def check_names(path: Path, things: list[Thing]) -> None:
+    """Refuse names that cannot be one, or that two objects have.
+
+    Raises:
+        FileFormatError: there is one.
+    """
     for thing in things:
         fault = name_fault(thing.name)
         if fault is not None:
@@ -272,7 +320,11 @@ def check_names(path: Path, things: list[Thing]) -> None:
 
 
 def check_span(path: Path, things: list[Thing]) -> float:
-    """How far apart the objects lie, m, which must be within a room."""
+    """How far apart the objects lie, m, which must be within a room.
+
+    Raises:
+        FileFormatError: it is not.
+    """
     with jax.enable_x64(True):
         low, high = Objects.of(things).bounds
     span = float((high - low).max())
@@ -292,14 +344,7 @@ def _unusual(span: float) -> list[str]:
     return [f"All objects together span {span:.2f} m, where {low:.0f} to {high:.0f} m are usual; check the unit."]
 
 
-def _bent(things: list[Thing]) -> list[str]:
-    """Warnings about rectangles that are not plane."""
-    notes = []
-    for thing in things:
-        residual = flat_rectangle(thing.shape.corners)[1] if isinstance(thing.shape, Rectangle) else 0.0
-        if residual > MAX_RESIDUAL_M:
-            notes.append(
-                f"The corners of '{thing.name}' lie {100 * residual:.1f} cm off a common plane (limit "
-                f"{100 * MAX_RESIDUAL_M:.0f} cm); measure them again."
-            )
-    return notes
+def _doubts(things: list[Thing]) -> list[str]:
+    """A warning for each object that was probably measured wrong."""
+    notes = (thing.shape.doubt(thing.name) for thing in things)
+    return [note for note in notes if note is not None]

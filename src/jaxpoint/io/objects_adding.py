@@ -1,4 +1,4 @@
-"""Adding an object to a database (`jaxpoint.io.objects`), in the file's own unit, so that nothing in it is lost."""
+"""Adding an object to a database (`jaxpoint.io.objects`), in the file's own unit, so that the file loses nothing."""
 
 from __future__ import annotations
 
@@ -16,18 +16,20 @@ import tomli_w
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import StrPath, parse_header, parse_table, read_text, replacing
 from jaxpoint.io.objects import (
-    CORNERS,
+    PLAIN,
     UNITS,
     Database,
     check_names,
     check_shape,
     check_span,
+    file_columns,
     is_toml,
+    known_tables,
+    length_suffix,
     name_fault,
-    numbers_of,
     parse_objects,
 )
-from jaxpoint.pointing.objects import Box, Rectangle, Thing
+from jaxpoint.pointing.objects import Thing
 
 _WRITTEN = 1e-5  # m or rad, to which `append_object` writes
 
@@ -40,7 +42,7 @@ def append_object(path: StrPath, thing: Thing) -> tuple[str, ...]:
 
     Raises:
         FileFormatError: the file cannot be read, or the object does not fit it.
-        UsageError: a name that cannot be one, or that a CSV file has no place for the object's shape, kind or tags.
+        UsageError: a name that cannot be one, or a CSV file without columns for the object's shape, kind or tags.
     """
     path = Path(path)
     _check_new_name(thing.name)
@@ -68,7 +70,7 @@ def _check_new_name(name: str) -> None:
 def _read_back(path: Path, text: str, things: list[Thing]) -> Database:
     """What a file with this text would hold, which must be these objects."""
     remedy = (
-        "write every object as a [[rectangle]], [[box]] or [[sphere]] of its own"
+        f"write every object as a {known_tables()} of its own"
         if is_toml(path)
         else "mend the file's last line, or the object's kind and tags"
     )
@@ -89,45 +91,44 @@ def _is_same(one: Thing | None, other: Thing | None) -> bool:
     if one is None or other is None:
         return False
     alike = (one.name, one.kind, one.tags, type(one.shape)) == (other.name, other.kind, other.tags, type(other.shape))
-    return alike and np.allclose(numbers_of(one.shape), numbers_of(other.shape), rtol=0, atol=_WRITTEN)
+    return alike and np.allclose(one.shape.numbers, other.shape.numbers, rtol=0, atol=_WRITTEN)
 
 
 def _csv_line(path: Path, text: str, thing: Thing) -> str:
-    if not isinstance(thing.shape, Rectangle):
-        raise UsageError(f"'{path}' holds rectangles only; keep boxes and spheres in a .toml.")
     header = parse_header(path, text)
-    for column, value in (("kind", thing.kind), ("tags", thing.tags)):
-        if value and column not in header:
-            raise UsageError(f"'{path}' has no column '{column}'; add it to every line first, or leave {column} out.")
-    named = [unit for unit in UNITS if f"{CORNERS[0]}_{unit}" in header]
-    unit = named[0] if named else parse_table(path, text, ("name",))[-1].text("unit")
-    numbers = np.asarray(thing.shape.corners).ravel() / UNITS[unit]
-    suffix = f"_{unit}" if named else ""
-    values: dict[str, Any] = {f"{column}{suffix}": f"{number:.5f}" for column, number in zip(CORNERS, numbers)}
-    values |= {"name": thing.name, "unit": unit, "kind": thing.kind, "tags": " ".join(thing.tags)}
+    suffix = length_suffix(header)
+    unit = suffix[1:] or parse_table(path, text, ("name",))[-1].text("unit")
+    values: dict[str, Any] = {"name": thing.name, "unit": unit, "shape": thing.shape.name}
+    values |= {"kind": thing.kind, "tags": " ".join(thing.tags)}
+    wanted = [column for column in ("kind", "tags") if values[column]]
+    wanted += ["shape"] if thing.shape.name != PLAIN else []
+    for field, value in zip(thing.shape.fields, thing.shape.values):
+        columns = file_columns(field, suffix)
+        written = np.ravel(field.to_file(value, UNITS[unit]))
+        values |= {column: f"{number:.5f}" for column, number in zip(columns, written)}
+        wanted += columns if field.default is None or written[0] != field.default else ()
+    _check_columns(path, header, wanted, thing)
     line = io.StringIO()
     csv.writer(line, lineterminator="\n").writerow([values.get(column, "") for column in header])
     return line.getvalue()
 
 
+def _check_columns(path: Path, header: list[str], wanted: list[str], thing: Thing) -> None:
+    """Refuse to drop what the table has no column for."""
+    missing = [column for column in wanted if column not in header]
+    if not missing:
+        return
+    if missing[0] in ("kind", "tags"):
+        remedy = f"or leave {missing[0]} out"
+    else:
+        remedy = f"or keep the {thing.shape.name} in a .toml"
+    raise UsageError(f"'{path}' has no column '{missing[0]}'; add it to every line first, {remedy}.")
+
+
 def _toml_entry(thing: Thing, unit: str) -> str:
-    scale = 1 / UNITS[unit]
-    shape = thing.shape
     entry: dict[str, Any] = {"name": thing.name}
     entry |= {key: value for key, value in (("kind", thing.kind), ("tags", list(thing.tags))) if value}
-    if isinstance(shape, Rectangle):
-        kind, entry["corners"] = "rectangle", _rounded(scale * np.asarray(shape.corners))
-    elif isinstance(shape, Box):
-        kind, entry["center"], entry["size"] = "box", _rounded(scale * shape.center), _rounded(scale * shape.size)
-        entry |= {"yaw_deg": round(float(np.rad2deg(shape.yaw)), 3)} if shape.yaw else {}
-    else:
-        kind, entry["center"], entry["radius"] = (
-            "sphere",
-            _rounded(scale * shape.center),
-            round(scale * shape.radius, 5),
-        )
-    return "\n" + tomli_w.dumps({kind: [entry]})
-
-
-def _rounded(values: np.ndarray) -> list:
-    return np.round(values, 5).tolist()
+    for field, value in zip(thing.shape.fields, thing.shape.values):
+        written = field.to_file(value, UNITS[unit])
+        entry |= {} if field.default is not None and written == field.default else {field.name: written}
+    return "\n" + tomli_w.dumps({thing.shape.name: [entry]})

@@ -21,7 +21,7 @@ KINDS: tuple[LineKind, ...] = get_args(LineKind)
 
 
 class PointingLine(eqx.Module):
-    """A ray from the fingertip (or hand) on, with the covariance of both its numbers.
+    """A ray from the fingertip (or hand) on, with the covariance of its origin and direction.
 
     Fields may carry leading axes of equal shape.
     """
@@ -33,11 +33,6 @@ class PointingLine(eqx.Module):
     def direction_covariance(self) -> Float[Array, "*batch 3 3"]:
         """Of the direction; its null vector is the direction itself."""
         return self.covariance[..., 3:, 3:]
-
-    @property
-    def origin_covariance(self) -> Float[Array, "*batch 3 3"]:
-        """Of the origin, m^2."""
-        return self.covariance[..., :3, :3]
 
 
 def weights_of(kind: str | Mapping[str, float]) -> Float[np.ndarray, "5"]:

@@ -1,10 +1,10 @@
-"""How much of a line's distribution of directions falls on a face: exact along its edges, no density at its middle.
+"""How much of a line's distribution of directions falls on a polygon: exact along its edges, no density at its middle.
 
 The direction's error lies in the plane across the line, gnomonic: a place X at depth z before the tip o is
 y = (X - o) across the line / z. A line whose origin errs too passes X where y is its direction's error plus its
-origin's over z, so every edge is made white by the covariance at the depth where it passes nearest to the line. That is
-exact where the origin is sure or the face square to the line. In white coordinates the mass of a polygon is, by the
-divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
+origin's over z, so every edge is whitened by the covariance at the depth where it passes nearest to the line. That is
+exact where the origin is sure or the polygon square to the line. In whitened coordinates the mass of a polygon is, by
+the divergence theorem, a sum over its edges (h the distance of an edge's line from 0, s the place along
 it, r^2 = h^2 + s^2, S(r) the probability of an error larger than r):
 
     mass = 1 / 2 pi  sum of  integral of  h (1 - S(r)) / r^2  ds
@@ -19,20 +19,18 @@ import operator
 from functools import reduce
 from typing import TypeAlias
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
-from jaxpoint.geometry.line import normalised
 from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.objects import Shapes
 
-NEAR_M = 0.005  # what lies less far before the tip is not pointed at
-_REACH = 4.0  # standard deviations, beyond which a Gaussian is nothing
+NEAR_M = 0.005  # nothing nearer before the tip is pointed at
+_REACH = 4.0  # standard deviations, beyond which a Gaussian has no mass
 _NODES = 10
-_SIDES = 12  # of the polygon of equal area that stands for a sphere's outline
 _ARCTAN = (
     0.0028662257,
     -0.0161657367,
@@ -44,10 +42,10 @@ _ARCTAN = (
     -0.3333314528,
     1.0,
 )
-Vectors: TypeAlias = tuple[Array, ...]  # three components
-_RECTANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-_TURN = 2 * np.pi * np.arange(_SIDES) / _SIDES
-_CIRCLE = np.sqrt(_TURN[1] / np.sin(_TURN[1])) * np.stack([np.cos(_TURN), np.sin(_TURN)], axis=1)
+Vectors: TypeAlias = tuple[Array, Array, Array]  # rows, by component: sums of few terms fuse
+# Of N polygons, convex as seen from 0, the starts and ends of their n edges (n, N), and how they turn (N,): 1 where the
+# corners go from left to up around the polygon, -1 the other way, 0 where it is not seen.
+Edges: TypeAlias = tuple[Vectors, Vectors, Array]
 
 
 def across(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
@@ -59,119 +57,44 @@ def across(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
     return jnp.stack([left, jnp.cross(direction, left)])
 
 
-def masses(
-    line: PointingLine, shapes: Shapes, spread: Float[Array, "2 2"], freedom: int | None = None
-) -> Float[Array, " parts"]:
-    """The share of a line's distribution that falls on each face and sphere, whatever stands before it, 0..1.
+class View(eqx.Module):
+    """The distribution of one line's direction, as masses take it: a density in the plane across the line."""
 
-    Args:
-        line: one line.
-        spread: covariance of the direction on top of the line's own, to its left and up, rad^2.
-        freedom: None for a Gaussian; an even number of degrees of freedom for Student's t with that scale.
-    """
-    base = across(line.ray.direction)
-    frame = jnp.concatenate([base, line.ray.direction[None]])
-    white = _white(line, base, spread)
-    faces = _turned(frame, shapes.corner - line.ray.origin[None], shapes.right, shapes.down)
-    mass = _of_quads(faces, _RECTANGLE, white, freedom)
-    mass = jnp.where(~shapes.solid | (_facing(*faces) > 0), mass, 0.0)
-    if not shapes.radius.shape[0]:
-        return mass
-    gaps = shapes.center - line.ray.origin[None]
-    center, wide, high, outside = _outlines(gaps, shapes.radius)
-    outlines = _of_quads(_turned(frame, center, wide, high), _CIRCLE, white, freedom)
-    return jnp.concatenate([mass, jnp.where(outside, outlines, 0.0)])
+    origin: Float[Array, "3"]  # m
+    frame: Float[Array, "3 3"]  # rows: to the left of the line, up, and along it
+    covariance: tuple[Float[Array, "2 2"], ...]  # of left and up: constant, linear, square part in 1 / depth
+    freedom: int | None = eqx.field(static=True)  # of Student's t; None: Gaussian
+
+    @staticmethod
+    def of(line: PointingLine, spread: Float[Array, "2 2"], freedom: int | None = None) -> View:
+        """Of one line.
+
+        Args:
+            spread: covariance of the direction on top of the line's own, to its left and up, rad^2.
+            freedom: None for a Gaussian; the degrees of freedom of Student's t with that scale.
+        """
+        base = across(line.ray.direction)
+        both = jnp.einsum("ij,ajbk,lk->aibl", base, line.covariance.reshape(2, 3, 2, 3), base)
+        covariance = both[1, :, 1] + spread, both[0, :, 1] + both[1, :, 0], both[0, :, 0]
+        return View(line.ray.origin, jnp.concatenate([base, line.ray.direction[None]]), covariance, freedom)
 
 
-def solid_angles(origin: Float[Array, "3"], shapes: Shapes) -> Float[Array, " parts"]:
-    """Of each face and sphere as seen from a place, sr; 0 for faces of a box that look away.
-
-    After van Oosterom and Strackee, The solid angle of a plane triangle, IEEE Trans. Biomed. Eng. 30 (1983).
-    """
-    a, u, v = _turned(jnp.eye(3, dtype=origin.dtype), shapes.corner - origin[None], shapes.right, shapes.down)
-    b, c, d = _plus(a, u), _plus(_plus(a, u), v), _plus(a, v)
-    facing = _facing(a, u, v)  # both triangles' triple product
-    angle = 2 * (_half_angle(facing, a, b, c) + _half_angle(facing, a, c, d))
-    angle = jnp.where(shapes.solid & (facing <= 0), 0.0, jnp.abs(angle))
-    if not shapes.radius.shape[0]:
-        return angle
-    gap2 = jnp.sum((shapes.center - origin[None]) ** 2, axis=1)
-    outside = gap2 > shapes.radius**2
-    cosine = jnp.sqrt(jnp.where(outside, 1 - shapes.radius**2 / jnp.where(outside, gap2, 1.0), 1.0))
-    return jnp.concatenate([angle, jnp.where(outside, 2 * jnp.pi * (1 - cosine), 4 * jnp.pi)])
-
-
-def _turned(frame: Array, *vectors: Array) -> tuple[Vectors, ...]:
-    """Rows in another frame, each as its three components: sums of few terms fuse, where products and stacks do not."""
-    return tuple(tuple(axis[0] * v[:, 0] + axis[1] * v[:, 1] + axis[2] * v[:, 2] for axis in frame) for v in vectors)
-
-
-def _plus(a: Vectors, b: Vectors) -> Vectors:
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
-
-
-def _inner(a: Vectors, b: Vectors) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _facing(corner: Vectors, right: Vectors, down: Vectors) -> Array:
-    """Positive where a face's corners go around it from left to up, as seen from 0; of a box: from outside."""
-    return (
-        corner[0] * (right[1] * down[2] - right[2] * down[1])
-        + corner[1] * (right[2] * down[0] - right[0] * down[2])
-        + corner[2] * (right[0] * down[1] - right[1] * down[0])
-    )
-
-
-def _half_angle(top: Array, a: Vectors, b: Vectors, c: Vectors) -> Array:
-    """Half the signed solid angle of triangles from 0."""
-    u, v, w = (jnp.sqrt(_inner(x, x) + 1e-18) for x in (a, b, c))
-    bottom = u * v * w + _inner(a, b) * w + _inner(a, c) * v + _inner(b, c) * u
-    return angle(top, bottom)
-
-
-def _outlines(gaps: Float[Array, "S 3"], radius: Float[Array, " S"]) -> tuple[Array, Array, Array, Array]:
-    """Middles and half axes of the outlines of spheres as seen from 0, m, and whether 0 is outside."""
-    gap2 = jnp.sum(gaps**2, axis=1)
-    outside = (gap2 > radius**2) & (radius > 0)
-    shrink = jnp.where(outside, 1 - radius**2 / jnp.where(outside, gap2, 1.0), 1.0)
-    wide, high = jnp.swapaxes(jax.vmap(across)(normalised(gaps)), 0, 1) * (radius * jnp.sqrt(shrink))[None, :, None]
-    return gaps * shrink[:, None], wide, high, outside
-
-
-def _white(line: PointingLine, base: Array, spread: Array) -> tuple[Array, Array, Array]:
-    """Covariance across the line as a polynomial of one over the depth: constant, linear and square part."""
-    both = jnp.einsum("ij,ajbk,lk->aibl", base, line.covariance.reshape(2, 3, 2, 3), base)
-    return both[1, :, 1] + spread, both[0, :, 1] + both[1, :, 0], both[0, :, 0]
-
-
-def _of_quads(
-    quads: tuple[Vectors, ...], rim: np.ndarray, covariance: tuple[Array, Array, Array], freedom: int | None
-) -> Float[Array, " n"]:
-    """Masses of polygons whose corners are corner + rim[i, 0] right + rim[i, 1] down, each left, up and in depth."""
-    corner, right, down = quads
-    start, end = (
-        tuple(
-            a[None] + jnp.asarray(at[:, :1]) * u[None] + jnp.asarray(at[:, 1:]) * v[None]
-            for a, u, v in zip(corner, right, down)
-        )
-        for at in (rim, np.roll(rim, -1, axis=0))
-    )
-    turn = jnp.sign(_facing(corner, right, down))
-    part, left = _of_edge(start, end, covariance, freedom)
+def polygon_masses(edges: Edges, view: View) -> Float[Array, " N"]:
+    """Masses of N polygons in the line's frame, m from its origin."""
+    start, end, turn = edges
+    part, left = _of_edge(start, end, view.covariance, view.freedom)
     ahead = jnp.maximum(start[2], end[2]) > NEAR_M
     within = ~ahead | (left * turn[None] > 0)
     part = jnp.where(ahead, part, 0.0)
     # Sums that are written out fuse and vectorise, over an axis they do not.
-    outer = reduce(operator.add, (part[i] for i in range(len(rim)))) * turn / (2 * jnp.pi)
-    inside = reduce(operator.and_, (within[i] for i in range(len(rim))))
-    seen = reduce(operator.or_, (ahead[i] for i in range(len(rim))))
+    each = range(len(part))
+    outer = reduce(operator.add, (part[i] for i in each)) * turn / (2 * jnp.pi)
+    inside = reduce(operator.and_, (within[i] for i in each))
+    seen = reduce(operator.or_, (ahead[i] for i in each))
     return jnp.clip(outer + jnp.where(inside & seen & (turn != 0), 1.0, 0.0), 0.0, 1.0)
 
 
-def _of_edge(
-    start: Vectors, end: Vectors, covariance: tuple[Array, Array, Array], freedom: int | None
-) -> tuple[Array, Array]:
+def _of_edge(start: Vectors, end: Vectors, covariance: tuple[Array, ...], freedom: int | None) -> tuple[Array, Array]:
     """What edges add to masses, and the distance at which they pass 0, positive with 0 to their left."""
     (p, near_p), (q, near_q) = _projected(_clipped(start, end)), _projected(_clipped(end, start))
     edge = q[0] - p[0], q[1] - p[1]
@@ -203,7 +126,7 @@ def _projected(point: Vectors) -> tuple[tuple[Array, Array], Array]:
 
 
 def _whitened(
-    near: Array, covariance: tuple[Array, Array, Array], *points: tuple[Array, Array]
+    near: Array, covariance: tuple[Array, ...], *points: tuple[Array, Array]
 ) -> tuple[tuple[Array, Array], ...]:
     """Tangents in standard deviations, of what lies at one over the depth."""
     constant, linear, square = covariance

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -12,37 +12,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import as_float
+from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
+from jaxpoint.pointing.shapes.shape import AbstractShape
 
 NOTHING = "nothing"  # the answer where no object is meant, so that no object has this name
-PAD = 8  # shapes are padded to multiples of it: few programs are compiled while a database grows
+PAD = 8  # primitives are padded to multiples of it: few programs are compiled while a database grows
+Choice = tuple[Int[Array, " n"], Bool[Array, " n"]] | None  # of primitives of one sort: which, and whether they count
 
-
-@dataclass(frozen=True)
-class Rectangle:
-    """A rectangle (or parallelogram), met from both sides."""
-
-    corners: Float[np.ndarray, "4 3"]  # m: left-top, right-top, left-bottom, right-bottom
-
-
-@dataclass(frozen=True)
-class Box:
-    """A box, met from outside."""
-
-    center: Float[np.ndarray, "3"]  # m
-    size: Float[np.ndarray, "3"]  # m, along its own axes
-    yaw: float = 0.0  # rad, by which it is turned about the vertical
-
-
-@dataclass(frozen=True)
-class Sphere:
-    """A sphere, met from outside."""
-
-    center: Float[np.ndarray, "3"]  # m
-    radius: float  # m
-
-
-Shape: TypeAlias = Rectangle | Box | Sphere
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -50,21 +28,47 @@ class Thing:
     """One entry of the database."""
 
     name: str
-    shape: Shape
+    shape: AbstractShape
     kind: str = ""
     tags: tuple[str, ...] = ()
 
 
 class Shapes(eqx.Module):
-    """The numbers of K objects: F faces and S spheres, both padded: with faces and spheres of no size."""
+    """The primitives of K objects, padded, in order of their sorts' names: P in all."""
 
-    corner: Float[Array, "F 3"]  # m, left-top
-    right: Float[Array, "F 3"]  # m, from left-top to right-top
-    down: Float[Array, "F 3"]  # m, from left-top to left-bottom
-    solid: Bool[Array, " F"]  # of a box: met from the side from which its corners are in order
-    center: Float[Array, "S 3"]  # m
-    radius: Float[Array, " S"]  # m
-    owner: Int[Array, " F+S"]  # which object each face, and then each sphere, belongs to
+    primitives: tuple[AbstractPrimitives, ...]
+    owners: tuple[Int[Array, " _"], ...]  # which object each primitive belongs to; of padding 0
+
+    @property
+    def owner(self) -> Int[Array, " P"]:
+        """Which object each of all primitives belongs to."""
+        return jnp.concatenate(self.owners)
+
+    @property
+    def count(self) -> int:
+        """P."""
+        return sum(len(owner) for owner in self.owners)
+
+    def each(self, ask: Callable[[AbstractPrimitives], Result]) -> Result:
+        """What `ask` says of the primitives of each sort, joined along the first axis to that of all P."""
+        return jax.tree.map(lambda *rows: jnp.concatenate(rows), *(ask(own) for own in self.primitives))
+
+    def select(self, choices: Sequence[Choice]) -> Shapes:
+        """Some primitives of each sort, or all where there is no choice."""
+        pairs = [
+            (own, owner) if choice is None else (own.select(*choice), owner[choice[0]])
+            for own, owner, choice in zip(self.primitives, self.owners, choices)
+        ]
+        return Shapes(tuple(own for own, _ in pairs), tuple(owner for _, owner in pairs))
+
+    def shrink(self, share: float) -> Shapes:
+        """Every object made smaller about its middle, to a share of its size."""
+        middle, radius = self.each(lambda own: own.bounding_spheres())
+        used = (radius > 0)[:, None].astype(middle.dtype)
+        total, number = (jax.ops.segment_sum(part, self.owner, self.count) for part in (used * middle, used))
+        about = total / jnp.maximum(number, 1.0)
+        small = (own.shrink(about[owner], share) for own, owner in zip(self.primitives, self.owners))
+        return Shapes(tuple(small), self.owners)
 
 
 class Objects(eqx.Module):
@@ -80,37 +84,15 @@ class Objects(eqx.Module):
 
     @staticmethod
     def of(things: Sequence[Thing]) -> Objects:
-        """From a list; a measured rectangle becomes the nearest that is plane.
+        """From a list.
 
         Raises:
             ValueError: there is nothing in the list.
         """
         if not things:
             raise ValueError("A database of 0 objects cannot be pointed at; give at least one.")
-        faces, face_owner, spheres, sphere_owner = [], [], [], []
-        for k, thing in enumerate(things):
-            if isinstance(thing.shape, Sphere):
-                spheres.append((*thing.shape.center, thing.shape.radius))
-                sphere_owner.append(k)
-            else:
-                found = _faces(thing.shape)
-                faces += found
-                face_owner += [k] * len(found)
-        face = _padded(np.array([row for row, _ in faces]).reshape(-1, 9), PAD)  # a minimum over no face has no value
-        sphere = _padded(np.array(spheres).reshape(-1, 4))
-        owner = np.concatenate([_padded(np.array(face_owner, int), PAD), _padded(np.array(sphere_owner, int))])
-        corner, right, down = (as_float(face[:, i : i + 3]) for i in (0, 3, 6))
-        shapes = Shapes(
-            corner,
-            right,
-            down,
-            jnp.asarray(_padded(np.array([solid for _, solid in faces], bool), PAD)),
-            as_float(sphere[:, :3]),
-            as_float(sphere[:, 3]),
-            jnp.asarray(owner),
-        )
         return Objects(
-            shapes,
+            _shapes([thing.shape for thing in things]),
             tuple(thing.name for thing in things),
             tuple(thing.kind for thing in things),
             tuple(thing.tags for thing in things),
@@ -120,72 +102,50 @@ class Objects(eqx.Module):
         return len(self.names)
 
     @property
+    def outlines(self) -> dict[str, list[Float[np.ndarray, "n 3"]]]:
+        """For drawing: closed polygons (corners, m) of every object, by its name."""
+        found: dict[str, list[np.ndarray]] = {name: [] for name in self.names}
+        for own, owners in zip(self.shapes.primitives, self.shapes.owners):
+            used = _used(own)
+            for polygons, owner in zip(own.outlines()[used], np.asarray(owners)[used]):
+                found[self.names[owner]].extend(polygons)
+        return found
+
+    @property
+    def middles(self) -> Float[np.ndarray, "K 3"]:
+        """The mean of the middles of each object's outlines, m."""
+        outlines = self.outlines.values()
+        return np.array([np.mean([polygon.mean(axis=0) for polygon in own], axis=0) for own in outlines])
+
+    @property
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
         """The lowest and highest coordinates of all, m."""
-        s = self.shapes
-        used = np.asarray(jnp.any(s.right != 0, axis=1))
-        corners = np.asarray(face_corners(s))[used].reshape(-1, 3)
-        center, radius = np.asarray(s.center), np.asarray(s.radius)[:, None]
-        center, radius = center[radius[:, 0] > 0], radius[radius[:, 0] > 0]
-        points = np.concatenate([corners, center - radius, center + radius])
+        points = np.concatenate([polygon for own in self.outlines.values() for polygon in own])
         return points.min(axis=0), points.max(axis=0)
 
 
-def face_corners(shapes: Shapes, origin: Float[Array, "3"] | None = None) -> Float[Array, "F 4 3"]:
-    """Corners of every face, around it: left-top, right-top, right-bottom, left-bottom, m, from a place."""
-    a, u, v = shapes.corner, shapes.right, shapes.down
-    a = a if origin is None else a - origin[None]
-    return jnp.stack([a, a + u, a + u + v, a + v], axis=1)
+def _shapes(shapes: Sequence[AbstractShape]) -> Shapes:
+    """The primitives of all, joined by their sort and padded."""
+    sorts: dict[type[AbstractPrimitives], list[tuple[np.ndarray, ...]]] = {}
+    for k, shape in enumerate(shapes):
+        sort, rows = shape.primitives()
+        sorts.setdefault(sort, []).append((*rows, np.full(len(rows[0]), k)))
+    primitives, owners = [], []
+    for sort in sorted(sorts, key=lambda sort: sort.__qualname__):
+        *arrays, owner = (_joined(parts) for parts in zip(*sorts[sort]))
+        primitives.append(sort(*arrays))  # pyright: ignore[reportArgumentType]; `most` is no field
+        owners.append(owner)
+    return Shapes(tuple(primitives), tuple(owners))
 
 
-def middle_part(shapes: Shapes, share: float) -> Shapes:
-    """Every object made smaller about its middle, to a share of its size."""
-    count, faces = shapes.owner.shape[0], shapes.corner.shape[0]
-    used = jnp.any(shapes.right != 0, axis=1)[:, None]
-    middles = jnp.where(used, shapes.corner + (shapes.right + shapes.down) / 2, 0.0)
-    owner = shapes.owner[:faces]
-    total, number = (jax.ops.segment_sum(part, owner, count) for part in (middles, used.astype(middles.dtype)))
-    middle = (total / jnp.maximum(number, 1.0))[owner]
-    return Shapes(
-        middle + share * (shapes.corner - middle),
-        share * shapes.right,
-        share * shapes.down,
-        shapes.solid,
-        shapes.center,
-        share * shapes.radius,
-        shapes.owner,
-    )
+def _used(primitives: AbstractPrimitives) -> Bool[np.ndarray, " N"]:
+    """Which are no padding, in numpy: nothing is compiled for it."""
+    leaves = jax.tree.leaves(primitives)
+    return np.any([np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in leaves], axis=0)
 
 
-def flat_rectangle(corners: Float[AnyArray, "4 3"]) -> tuple[np.ndarray, float]:
-    """Left-top, right side and left side (m, rows) of the rectangle nearest to measured corners, and the rms distance
-    (m) of these from a common plane."""
-    corners = np.asarray(corners, float)
-    center = corners.mean(axis=0)
-    normal = np.linalg.svd(corners - center)[2][-1]
-    off = (corners - center) @ normal
-    left_top, right_top, left_bottom, right_bottom = corners - off[:, None] * normal
-    right = (right_top - left_top + right_bottom - left_bottom) / 2
-    down = (left_bottom - left_top + right_bottom - right_top) / 2
-    return np.stack([center - right / 2 - down / 2, right, down]), float(np.sqrt(np.mean(off**2)))
-
-
-def _faces(shape: Rectangle | Box) -> list[tuple[np.ndarray, bool]]:
-    """Left-top, right, down of each face, nine numbers, and whether it is met from one side only."""
-    if isinstance(shape, Rectangle):
-        return [(flat_rectangle(shape.corners)[0].ravel(), False)]
-    cos, sin = np.cos(shape.yaw), np.sin(shape.yaw)
-    axes = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]) * np.asarray(shape.size, float)[:, None]
-    x, y, z = axes
-    faces = []
-    for sign in (1.0, -1.0):  # down x right looks out of the box
-        for out, right, down in ((x, sign * y, -z), (y, -sign * x, -z), (z, sign * x, -y)):
-            corner = np.asarray(shape.center, float) + (sign * out - right - down) / 2
-            faces.append((np.concatenate([corner, right, down]), True))
-    return faces
-
-
-def _padded(rows: np.ndarray, least: int = 0) -> np.ndarray:
-    """With zeros up to a multiple of PAD rows; nothing stays nothing, unless there are to be so many at least."""
-    count = max(least, len(rows) + -len(rows) % PAD)
-    return np.pad(rows, [(0, count - len(rows)), *[(0, 0)] * (rows.ndim - 1)])
+def _joined(parts: Sequence[np.ndarray]) -> Array:
+    """One after the other, with zeros up to a multiple of PAD rows."""
+    rows = np.concatenate(parts)
+    padded = np.pad(rows, [(0, -len(rows) % PAD), *[(0, 0)] * (rows.ndim - 1)])
+    return as_float(padded) if padded.dtype.kind == "f" else jnp.asarray(padded)

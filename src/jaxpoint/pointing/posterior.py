@@ -1,15 +1,15 @@
 """How probable each object is as the one that is meant, and that none is.
 
-For one line the distribution of its direction is its own covariance, origin included, plus the spread of people who
-point. `mass` is the share of it on each object. Whoever means an object aims somewhere on it, so the likelihood of a
+The distribution of one line's direction has its own covariance, origin included, plus the spread of people who point.
+`mass` is the share of it on each object. A person who means an object aims somewhere on it, so the likelihood of a
 line is the mean of that distribution over the object: its mass over the solid angle that it fills. Times the prior of
 the object (all are alike before the line is seen) this is Bayes' rule; with `prior="size"` large objects are meant as
-much more often as they are larger, and the likelihood times the prior is the mass itself. Whoever means nothing points
-anywhere: the share of the distribution that no object takes, over half a sphere.
+much more often as they are larger, and the likelihood times the prior is the mass itself. A person who means nothing
+points anywhere: the share of the distribution that no object takes, over half a sphere.
 
-Objects behind others may still be meant: the hidden part of their mass counts `hidden` times as much. Who means a thing
-points nearer to its middle than to its edge: with `aimed` below 1 somewhere on the part of that size about its middle.
-Without it a small thing before or on a large one takes nearly all lines that pass it (on a table: the book).
+Objects behind others may still be meant: the occluded part of their mass counts `hidden` times as much. People point
+nearer to the middle of an object than to its edge: with `aimed` below 1 somewhere on the part of that size about its
+middle. Without it a small object before or on a large one takes nearly all lines that pass it (on a table: the book).
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.hits import Planes, face_fractions, meet, nearest_first, planes_of
+from jaxpoint.pointing.hits import nearest_first
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.lines import over_lines
-from jaxpoint.pointing.mass import NEAR_M, across, masses, solid_angles
-from jaxpoint.pointing.objects import Objects, Shapes, middle_part
+from jaxpoint.pointing.mass import View, across
+from jaxpoint.pointing.objects import Choice, Objects, Shapes
+from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 AMBIGUOUS = 3.0
-_NEAR = 16  # faces that are looked at for one line: the nearest by angle; the others count as missed
-_DIRECTIONS = 16  # by which it is told how much of an object is hidden
-_ROUNDING = 1e-6  # of the largest variance: how far below 0 one may lie that should be 0
-_TOUCH = 1e-9  # relative distance within which two faces hide nothing of each other
+_DIRECTIONS = 16  # sampled, by which the hidden part of an object is estimated
+_ROUNDING = 1e-6  # of the largest variance: how far below 0 a variance may be rounded
+_TOUCH = 1e-9  # relative distance within which two primitives hide nothing of each other
 
 
 class Behaviour(eqx.Module):
-    """How people's lines lie about what they mean; the defaults are no measurement of anybody.
+    """How people's lines scatter about what they mean; the defaults are not measured.
 
     Fields may carry the leading axes of the lines: a behaviour each.
     """
@@ -67,7 +67,7 @@ class Behaviour(eqx.Module):
 class Posterior(eqx.Module):
     """Of each line: probabilities that sum to 1 over the objects and `nothing`.
 
-    Of what is no line all numbers are NaN, that of `nothing` too, and it is `ambiguous`; see `posterior`.
+    Of an invalid line all values are NaN, `nothing` too, and `ambiguous` is true; see `posterior`.
     """
 
     probability: Float[Array, "*batch K"]
@@ -92,8 +92,8 @@ def posterior(
 ) -> Posterior:
     """Probability of each object and of nothing, given where lines point.
 
-    Nothing is raised for what is no line: a number that is not finite, a direction of no length, a negative variance.
-    Its result is NaN throughout, and so it is where prior or evidence are NaN.
+    Invalid lines yield NaN throughout, and nothing is raised: those with a non-finite value, a direction of length 0 or
+    a negative variance. So do lines whose prior or evidence is NaN.
 
     Args:
         lines: any leading axes; unit directions, corrected for bias.
@@ -130,59 +130,36 @@ def _posterior(
 ) -> Posterior:
     """Of lines with one leading axis."""
 
-    def one(line: PointingLine, weights: Array, behaviour: Behaviour, index: Array, ahead: Array) -> Posterior:
-        few, parts = _chosen(shapes, index, ahead), _chosen(aimed, index, ahead)
-        near = jax.tree.map(lambda leaf: leaf[index], planes)
-        near = eqx.tree_at(lambda n: n.used, near, near.used & ahead)
-        return _of_line(few, parts, near, behaviour, line, weights)
+    def one(line: PointingLine, weights: Array, behaviour: Behaviour, choices: list[Choice]) -> Posterior:
+        return _of_line(ready.select(choices), aimed.select(choices), behaviour, line, weights)
 
-    aimed = shapes if behaviour.aimed == 1 else middle_part(shapes, behaviour.aimed)
-    planes = jax.lax.stop_gradient(planes_of(shapes))
-
-    bounds = jax.lax.stop_gradient(jax.vmap(partial(_tangent_bounds, shapes))(origin, direction))
-    index, count = nearest_first(bounds, min(_NEAR, bounds.shape[1]))
-    ahead = jnp.arange(index.shape[1])[None] < count[:, None]
-    return jax.vmap(one)(PointingLine(Ray(origin, direction), covariance), weights, behaviour, index, ahead)
+    aimed = shapes if behaviour.aimed == 1 else shapes.shrink(behaviour.aimed)
+    ready = Shapes(tuple(own.precompute() for own in shapes.primitives), shapes.owners)
+    choices = [_nearest_primitives(own, origin, direction) for own in shapes.primitives]
+    return jax.vmap(one)(PointingLine(Ray(origin, direction), covariance), weights, behaviour, choices)
 
 
-def _tangent_bounds(shapes: Shapes, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[Array, " F"]:
-    """Less than the tangent of the angle from a ray to each face, from a sphere around the face; infinite behind."""
-    middle = shapes.corner + (shapes.right + shapes.down) / 2
-    side2, down2 = jnp.sum(shapes.right**2, axis=1), jnp.sum(shapes.down**2, axis=1)
-    radius = jnp.sqrt(side2 + down2 + 2 * jnp.abs(jnp.sum(shapes.right * shapes.down, axis=1))) / 2
-    gap = tuple(middle[:, i] - origin[i] for i in range(3))
-    along = gap[0] * direction[0] + gap[1] * direction[1] + gap[2] * direction[2]
-    across2 = gap[0] ** 2 + gap[1] ** 2 + gap[2] ** 2 - along**2
-    beside = jnp.maximum(jnp.sqrt(jnp.maximum(across2, 0.0)) - radius, 0.0)
-    ahead = (along + radius > NEAR_M) & (side2 > 0)
-    # Where a ray passes through many of the spheres, those whose middle is nearest come first.
-    order = 1e-6 * across2 / jnp.where(ahead, along + radius, 1.0) ** 2
-    return jnp.where(ahead, beside / jnp.where(ahead, along + radius, 1.0) + order, jnp.inf)
-
-
-def _chosen(shapes: Shapes, index: Int[Array, " N"], ahead: Bool[Array, " N"]) -> Shapes:
-    """Some of the faces, and all spheres; a face that is not meant has no size."""
-    faces = shapes.corner.shape[0]
-    return Shapes(
-        shapes.corner[index],
-        jnp.where(ahead[:, None], shapes.right[index], 0.0),
-        jnp.where(ahead[:, None], shapes.down[index], 0.0),
-        shapes.solid[index],
-        shapes.center,
-        shapes.radius,
-        jnp.concatenate([shapes.owner[:faces][index], shapes.owner[faces:]]),
-    )
+def _nearest_primitives(
+    primitives: AbstractPrimitives, origin: Float[Array, "G 3"], direction: Float[Array, "G 3"]
+) -> tuple[Int[Array, "G n"], Bool[Array, "G n"]] | None:
+    """Of each line the primitives that are considered, nearest by angle first; the others count as missed."""
+    if primitives.most is None:
+        return None
+    bounds = jax.lax.stop_gradient(jax.vmap(primitives.tangent_bounds)(origin, direction))
+    index, count = nearest_first(bounds, min(primitives.most, bounds.shape[1]))
+    return index, jnp.arange(index.shape[1])[None] < count[:, None]
 
 
 def _of_line(
-    shapes: Shapes, aimed: Shapes, planes: Planes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]
+    shapes: Shapes, aimed: Shapes, behaviour: Behaviour, line: PointingLine, weights: Float[Array, " K"]
 ) -> Posterior:
-    def by_object(parts: Float[Array, " parts"]) -> Float[Array, " K"]:
+    def by_object(parts: Float[Array, " P"]) -> Float[Array, " K"]:
         return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
 
-    parts = masses(line, aimed, behaviour.spread, behaviour.freedom)
-    seen = _visible(line, shapes, planes, behaviour)
-    angles = solid_angles(line.ray.origin, aimed)
+    view = View.of(line, behaviour.spread, behaviour.freedom)
+    parts = aimed.each(lambda own: own.masses(view))
+    seen = _visible(line, shapes, behaviour)
+    angles = aimed.each(lambda own: own.solid_angles(line.ray.origin))
     mass, shown, angle = by_object(parts), by_object(parts * seen), by_object(angles)
     counted = shown + behaviour.hidden * (mass - shown)
     none = jnp.clip(1 - jnp.sum(shown), 0.0, 1.0) / (2 * jnp.pi)
@@ -200,37 +177,42 @@ def _of_line(
     first = jnp.max(chance)
     ambiguous = jnp.maximum(first, rest) < AMBIGUOUS * jnp.maximum(jnp.minimum(first, rest), second)
     visible = jnp.where(mass > 0, shown / jnp.where(mass > 0, mass, 1.0), 1.0)
-    sound = _is_line(line) & ~jnp.isnan(total)
+    sound = _is_valid(line) & ~jnp.isnan(total)
     chance, rest, mass, visible, total = (
         jnp.where(sound, found, jnp.nan) for found in (chance, rest, mass, visible, total)
     )
     return Posterior(chance, rest, mass, visible, total, ~sound | ambiguous)
 
 
-def _is_line(line: PointingLine) -> Bool[Array, ""]:
-    """Whether all its numbers are finite, it has a direction, and no variance is negative beyond rounding."""
+def _is_valid(line: PointingLine) -> Bool[Array, ""]:
+    """Whether all its values are finite, it has a direction, and no variance is negative beyond rounding."""
     variance = jnp.diagonal(line.covariance)
     least = -_ROUNDING * jnp.max(jnp.abs(variance))
     finite = jax.tree.reduce(jnp.logical_and, jax.tree.map(lambda leaf: jnp.all(jnp.isfinite(leaf)), line))
     return finite & jnp.any(line.ray.direction != 0) & jnp.all(variance >= least)
 
 
-def _visible(line: PointingLine, shapes: Shapes, planes: Planes, behaviour: Behaviour) -> Float[Array, " parts"]:
-    """How much of each part's share of the distribution no other part hides, 0..1.
+def _visible(line: PointingLine, shapes: Shapes, behaviour: Behaviour) -> Float[Array, " P"]:
+    """How much of each primitive's share of the distribution no other one hides, 0..1.
 
-    Told by directions spread evenly like the distribution, and one more to the place of the part that is nearest to the
-    line in its plane, so that small and far ones are asked too.
+    Estimated by directions spread evenly like the distribution, and one more to the place of the primitive that is
+    nearest to the line, so that small and far ones are sampled too.
     """
     line, shapes, behaviour = jax.lax.stop_gradient((line, shapes, behaviour))
     base = across(line.ray.direction)
     scale = jnp.linalg.norm(base @ line.direction_covariance @ base.T + behaviour.spread) ** 0.5
     left, up = scale * jnp.asarray(_normal_points().T, base.dtype)
-    drawn = tuple(line.ray.direction[i] + left * base[0, i] + up * base[1, i] for i in range(3))
-    towards = _unit(*(jnp.concatenate(pair) for pair in zip(drawn, _nearest_places(line.ray, shapes, planes))))
-    distance = jax.vmap(lambda *d: meet(shapes, Ray(line.ray.origin, jnp.stack(d)), planes)[0])(*towards)
+    spread = tuple(line.ray.direction[i] + left * base[0, i] + up * base[1, i] for i in range(3))
+    own_places = shapes.each(lambda own: own.nearest_places(line.ray))
+    towards = _unit(*(jnp.concatenate(pair) for pair in zip(spread, own_places)))
+
+    def meet(x: Array, y: Array, z: Array) -> Array:
+        return shapes.each(lambda own: own.meet(Ray(line.ray.origin, jnp.stack([x, y, z])))[0])
+
+    distance = jax.vmap(meet)(*towards)
     hit = jnp.isfinite(distance)
     seen = hit & (distance <= (1 + _TOUCH) * jnp.min(distance, axis=1, keepdims=True))
-    # Of the directions to places of parts, each tells of its own part alone.
+    # A direction to the place of a primitive counts for that one alone.
     own = jnp.concatenate([jnp.ones((len(left), distance.shape[1])), jnp.eye(distance.shape[1])])
     hits, sights = jnp.sum(own * hit, axis=0), jnp.sum(own * seen, axis=0)
     return jnp.where(hits > 0, sights / jnp.maximum(hits, 1), 1.0)
@@ -241,14 +223,6 @@ def _unit(x: Array, y: Array, z: Array) -> tuple[Array, Array, Array]:
     square = x**2 + y**2 + z**2
     shrink = jax.lax.rsqrt(jnp.where(square > 0, square, 1.0))
     return x * shrink, y * shrink, z * shrink
-
-
-def _nearest_places(ray: Ray, shapes: Shapes, planes: Planes) -> tuple[Float[Array, " parts"], ...]:
-    """From the origin to where the ray meets each part's plane, held within the part, or to its middle: x, y and z."""
-    _, u, v, ahead, _ = face_fractions(planes, ray)
-    u, v = (jnp.where(ahead, jnp.clip(part, 0.02, 0.98), 0.5) for part in (u, v))
-    on_faces = (shapes.corner[:, i] + u * shapes.right[:, i] + v * shapes.down[:, i] for i in range(3))
-    return tuple(jnp.concatenate([on, shapes.center[:, i]]) - ray.origin[i] for i, on in enumerate(on_faces))
 
 
 def _normal_points() -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What there is to say about a list of objects: sizes, residuals, which overlap, which lie outside of the room."""
+"""Facts about a list of objects: sizes, residuals, which overlap, which lie outside the room."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from jaxpoint.pointing.objects import Box, Rectangle, Sphere, Thing, flat_rectangle
+from jaxpoint.pointing.objects import Thing
 from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.shapes.faces import Faces
 
 SAME_PLANE_M = 0.02
 OUTSIDE_M = 0.02
@@ -18,7 +19,7 @@ OUTSIDE_M = 0.02
 
 @dataclass(frozen=True)
 class Surveyed:
-    """One object in numbers."""
+    """One object's figures."""
 
     name: str
     kind: str
@@ -41,8 +42,8 @@ def survey(things: Sequence[Thing]) -> list[Surveyed]:
 
 
 def overlaps(things: Sequence[Thing]) -> list[str]:
-    """A sentence for each two rectangles of nearly one plane that share half of the smaller one's surface or more."""
-    flat = [(thing, flat_rectangle(thing.shape.corners)[0]) for thing in things if isinstance(thing.shape, Rectangle)]
+    """A sentence for each two flat objects of nearly one plane that share half of the smaller one's surface or more."""
+    flat = [(thing, face) for thing in things if (face := _flat(thing)) is not None]
     notes = []
     for (one, a), (other, b) in combinations(flat, 2):
         share = max(_share_within(a, b), _share_within(b, a))
@@ -52,11 +53,11 @@ def overlaps(things: Sequence[Thing]) -> list[str]:
 
 
 def outside(things: Sequence[Thing], room: Room) -> list[str]:
-    """A sentence for each object that lies outside of the room, wholly or in part."""
+    """A sentence for each object that lies outside the room, wholly or in part."""
     low, high = np.asarray(room.low), np.asarray(room.high)
     notes = []
     for thing in things:
-        bottom, top = _bounds(thing)
+        bottom, top = thing.shape.bounds
         beyond = float(np.max(np.maximum(low - bottom, top - high)))
         if beyond > OUTSIDE_M:
             notes.append(f"'{thing.name}' reaches {beyond:.2f} m out of the room; measure one of the two again.")
@@ -65,28 +66,17 @@ def outside(things: Sequence[Thing], room: Room) -> list[str]:
 
 def _surveyed(thing: Thing) -> Surveyed:
     shape = thing.shape
-    bottom, top = _bounds(thing)
-    residual = 0.0
-    if isinstance(shape, Rectangle):
-        (_, right, down), residual = flat_rectangle(shape.corners)
-        kind, size = "rectangle", (np.linalg.norm(right), np.linalg.norm(down))
-    elif isinstance(shape, Box):
-        kind, size = "box", tuple(shape.size)
-    else:
-        kind, size = "sphere", (2 * shape.radius,)
-    numbers = tuple(float(x) for x in (bottom + top) / 2), tuple(float(x) for x in size)
-    return Surveyed(thing.name, thing.kind, kind, thing.tags, *numbers, residual, float(bottom[2]))
+    bottom, top = shape.bounds
+    center = tuple(float(x) for x in (bottom + top) / 2)
+    return Surveyed(
+        thing.name, thing.kind, shape.name, thing.tags, center, shape.sides, shape.residual, float(bottom[2])
+    )
 
 
-def _bounds(thing: Thing) -> tuple[np.ndarray, np.ndarray]:
-    shape = thing.shape
-    if isinstance(shape, Rectangle):
-        return np.min(shape.corners, axis=0), np.max(shape.corners, axis=0)
-    if isinstance(shape, Sphere):
-        return shape.center - shape.radius, shape.center + shape.radius
-    cos, sin = abs(np.cos(shape.yaw)), abs(np.sin(shape.yaw))
-    half = np.array([[cos, sin, 0], [sin, cos, 0], [0, 0, 1]]) @ np.asarray(shape.size) / 2
-    return shape.center - half, shape.center + half
+def _flat(thing: Thing) -> np.ndarray | None:
+    """Corner, right and down (rows, m) of an object that is one face; None of others."""
+    sort, rows = thing.shape.primitives()
+    return np.concatenate(rows[:3]) if sort is Faces and len(rows[0]) == 1 else None
 
 
 def _share_within(part: np.ndarray, whole: np.ndarray) -> float:

@@ -45,7 +45,7 @@ class PointingView:
     line: Float[np.ndarray, "N 2"] | None = None  # px, from the tip on
     tip: tuple[float, float] | None = None
     base: tuple[float, float] | None = None
-    reason: str = ""  # why the view has no say
+    reason: str = ""  # why the view is not used
 
 
 def pointing_sheet(views: Sequence[PointingView], *, columns: int = 3, width: int = 440) -> UInt8[np.ndarray, "H W 3"]:

@@ -23,7 +23,6 @@ _REASONS = {
 
 
 _MOST_LINES = 12  # of one figure of a stage
-_UNSURE = 0.45  # speeds less alike than this tell nothing about synchrony
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.pointing.planes import common_direction
+from common_direction import common_direction
 
 found_of = jax.jit(common_direction)
 

@@ -18,7 +18,7 @@ VIEWS = 2
 def thesis_line(rig: CameraRig, regions: Sequence[ThesisRegion]) -> Ray | None:
     """From the triangulated base to the triangulated tip; None where fewer than two views have a region.
 
-    The views are those of highest eccentricity and most pixels: of the largest eccentricity * log(area) (SPEC 6).
+    The views are those of highest eccentricity and most pixels: of the largest eccentricity * log(area).
 
     Args:
         rig: the cameras, m.
