@@ -11,7 +11,7 @@ import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (
-    ("errors", "compilation", "cores", "extras", "finite"),
+    ("errors", "compilation", "cores", "devices", "extras", "finite"),
     ("config",),
     ("geometry",),
     ("camera",),

@@ -1,0 +1,36 @@
+"""On which device a call runs: where its inputs lie, or else JAX's default."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
+import jax
+
+
+def device_of(*trees: Any) -> jax.Device | None:
+    """The device of the arrays that are committed to one; JAX's default where none is; None where they span several."""
+    for leaf in jax.tree.leaves(trees):
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.committed:
+            devices = leaf.devices()
+            return next(iter(devices)) if len(devices) == 1 else None
+    return default_device()
+
+
+def on_cpu(*trees: Any) -> bool:
+    """Whether a call with these inputs runs on the CPU (on one device of it)."""
+    device = device_of(*trees)
+    return device is not None and device.platform == "cpu"
+
+
+def default_device() -> jax.Device:
+    """Where JAX puts what is committed nowhere."""
+    chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # set by `jax.default_device` in this thread
+    if isinstance(chosen, str):
+        return jax.local_devices(backend=chosen)[0]
+    return jax.local_devices()[0] if chosen is None else chosen
+
+
+def running_on(device: jax.Device) -> AbstractContextManager:
+    """A context in which new arrays and programs go to this device; nothing is changed where they go there anyway."""
+    return nullcontext() if device == default_device() else jax.default_device(device)
