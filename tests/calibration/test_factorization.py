@@ -112,6 +112,30 @@ def test_fill_recovers_a_matrix_with_holes(pinhole):
     assert (np.linalg.norm(off, axis=1) / lengths).max() < 1e-6
 
 
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_the_fill_has_finite_derivatives_where_data_are_missing(pinhole, noise):
+    """Without noise the four directions have equal eigenvalues; one frame is seen by nobody, one by a single camera."""
+    rng, frames = np.random.default_rng(6), 40
+    rays = np.asarray(lift(jnp.asarray(pinhole.data.points), jnp.asarray(NO_LENS)))[:frames]
+    true = np.einsum("cj,fj->fc", pinhole.projections[:, 2], pinhole.points[:frames])
+    measured = true[..., None] * rays * (1 + noise * rng.normal(size=rays.shape))
+    known = pinhole.kept[:frames].copy()
+    known[3], known[4] = False, [True, False, False, False]
+    tuples = jnp.asarray(rng.choice(np.flatnonzero(known.sum(axis=1) >= 3), (64, 4)))
+    weights = np.where((known.sum(axis=1) >= 2)[:, None, None], rng.normal(size=measured.shape), 0.0)
+
+    def filled(measurements):
+        motion, points = fill_rank_four(measurements, jnp.asarray(known), tuples)
+        return (jnp.einsum("cij,fj->fci", motion, points) * weights).sum()
+
+    value, slope = jax.jit(filled), np.asarray(jax.jit(jax.grad(filled))(measured))
+    assert np.isfinite(slope).all()
+    np.testing.assert_array_equal(slope[~known], 0.0)
+    step = rng.normal(size=measured.shape) * np.abs(measured)
+    along = (value(measured + 1e-6 * step) - value(measured - 1e-6 * step)) / 2e-6
+    assert float((slope * step).sum()) == pytest.approx(float(along), rel=1e-5)
+
+
 def test_the_thesis_method_is_exact_without_noise(pinhole):
     found = thesis_factorisation(pinhole.data, pinhole.geometry, pinhole.kept, np.random.default_rng(4))
     assert np.quantile(found.errors[pinhole.kept], 0.99) < 1e-4
