@@ -233,7 +233,7 @@ class SchurLevenbergMarquardt(optx.AbstractLeastSquaresSolver):
             # After a failure the damping is large, and a small step says little.
             better & small & (state.failures == 0),
             stuck,
-            ~jnp.isfinite(before) | (stuck & ~jnp.isfinite(cost)),
+            ~better & (~jnp.isfinite(before) | (stuck & ~jnp.isfinite(cost))),
         )
         return new_y, new_state, None
 
