@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable
-from functools import cache, partial, wraps
+from functools import cache, wraps
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
@@ -61,8 +61,13 @@ def _top_level() -> object:
         return get_opaque_trace_state()
 
 
-jit_once = partial(jit, options=QUICK_OPTIONS)
-"""For programs that run once or twice: quick to compile is worth more than quick to run."""
+def jit_once(function: Callable[..., Result], **keywords) -> Callable[..., Result]:
+    """`jit` for programs that run once or twice: quick to compile is worth more than quick to run.
+
+    Args:
+        keywords: of `jax.jit`.
+    """
+    return jit(function, options=QUICK_OPTIONS, **keywords)
 
 
 def keep_programs(folder: Path) -> Path:

@@ -26,7 +26,7 @@ MOST_LINES = 7
 _BETWEEN_FLOOR = np.deg2rad(0.1) ** 2
 
 
-def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, source: str = "") -> Bias:
+def fit_bias(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, source: str = "") -> Bias:
     """The bias of a kind, with the spread that it leaves on people who were not fitted.
 
     A blend may read any of the lines beside the first. Which, is decided on people left out: all choices whose loss
@@ -54,7 +54,7 @@ def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, 
     )
 
 
-def fit_personal(shared: Bias, pointings: Pointings, *, source: str = "") -> Bias:
+def fit_personal_bias(shared: Bias, pointings: Pointings, *, source: str = "") -> Bias:
     """A shared bias with the offset of one person, from a few known targets.
 
     Raises:
@@ -143,7 +143,7 @@ def left_out(
     directions, biases = np.zeros((len(pointings), 3)), []
     for person in range(len(pointings.crowd)):
         own = pointings.who == person
-        biases.append(fit(kind, pointings.select(~own), loss_deg=loss_deg))
+        biases.append(fit_bias(kind, pointings.select(~own), loss_deg=loss_deg))
         directions[own] = biases[-1].correct(pointings.directions[own])
     return directions, tuple(biases)
 
