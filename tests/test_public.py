@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import jaxpoint
+from jaxpoint.geometry.arrays import hash_or_hint
 from jaxpoint.lazy import homes_in
 
 ROOT = Path(jaxpoint.__file__).parent
@@ -108,3 +109,16 @@ def test_an_alignment_goes_through_jax():
     assert jax.jit(lambda one: one.residual_mm * one.similarity.scale)(aligned) == 2.0
     doubled = jax.tree.map(lambda leaf: 2 * leaf, aligned)
     assert (doubled.method, doubled.rms_mm, doubled.leave_one_out_mm) == ("floor", 2.0, (None,))
+
+
+@pytest.mark.parametrize("name", ["Bias", "Camera", "CameraRig", "Chain", "Plane", "Pose", "Ray", "Similarity"])
+def test_a_class_with_methods_to_compile_says_how(name):
+    assert (getattr(jaxpoint, name, None) or getattr(module("geometry"), name)).__hash__ is hash_or_hint
+
+
+def test_methods_are_compiled_as_the_hint_says():
+    pose, ray = jaxpoint.Pose.identity(), jaxpoint.Ray(np.zeros(3), np.array([1.0, 0.0, 0.0]))
+    with pytest.raises(TypeError, match=r"A Pose holds arrays.*`equinox\.filter_jit\(x\.method\)`, or"):
+        jax.jit(pose.inverse)
+    np.testing.assert_array_equal(eqx.filter_jit(pose.inverse)().rotation, np.eye(3))
+    np.testing.assert_array_equal(jax.jit(lambda one, far: one.at(far))(ray, 2.0), [2.0, 0.0, 0.0])

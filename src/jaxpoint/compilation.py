@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import jax
+from jax.core import eval_context
 from jax.extend.core import get_opaque_trace_state
 
 from jaxpoint.devices import on_cpu
@@ -57,7 +58,7 @@ def _inside_transformation() -> bool:
 @cache
 def _top_level() -> object:
     """The state of JAX in which nothing is traced."""
-    with jax.core.eval_context():
+    with eval_context():
         return get_opaque_trace_state()
 
 

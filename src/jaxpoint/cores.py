@@ -11,7 +11,7 @@ from typing import TypeVar
 import jax
 import numpy as np
 
-from jaxpoint.devices import default_device, running_on
+from jaxpoint.devices import Device, default_device, running_on
 
 _ALIGNMENT = 64  # bytes; what JAX wants of memory that it did not make itself
 
@@ -23,7 +23,7 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def by_all_cores(part: Callable[[int], Result], count: int, size: int, device: jax.Device | None = None) -> Result:
+def by_all_cores(part: Callable[[int], Result], count: int, size: int, device: Device | None = None) -> Result:
     """The first `count` rows of all parts, every core of the CPU at work on one of them at a time.
 
     XLA runs one program after the other, and one that loops over blocks on one core. What a part gives is copied

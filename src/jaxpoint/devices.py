@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any
+from typing import Any, TypeAlias
 
 import jax
+from jax.core import Tracer
+
+Device: TypeAlias = Any  # jax.Device, which type checkers take for a variable
 
 
-def device_of(*trees: Any) -> jax.Device | None:
+def device_of(*trees: Any) -> Device | None:
     """The device of the arrays that are committed to one; JAX's default where none is; None where they span several."""
     for leaf in jax.tree.leaves(trees):
-        if isinstance(leaf, jax.Array) and not isinstance(leaf, jax.core.Tracer) and leaf.committed:
+        if isinstance(leaf, jax.Array) and not isinstance(leaf, Tracer) and leaf.committed:
             devices = leaf.devices()
             return next(iter(devices)) if len(devices) == 1 else None
     return default_device()
@@ -23,7 +26,7 @@ def on_cpu(*trees: Any) -> bool:
     return device is not None and device.platform == "cpu"
 
 
-def default_device() -> jax.Device:
+def default_device() -> Device:
     """Where JAX puts what is committed nowhere."""
     chosen = jax.config.jax_default_device  # type: ignore[attr-defined]  # set by `jax.default_device` in this thread
     if isinstance(chosen, str):
@@ -31,6 +34,6 @@ def default_device() -> jax.Device:
     return jax.local_devices()[0] if chosen is None else chosen
 
 
-def running_on(device: jax.Device) -> AbstractContextManager:
+def running_on(device: Device) -> AbstractContextManager:
     """A context in which new arrays and programs go to this device; nothing is changed where they go there anyway."""
     return nullcontext() if device == default_device() else jax.default_device(device)

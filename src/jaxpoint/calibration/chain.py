@@ -23,7 +23,7 @@ from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknown
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.triangulation import triangulate
 
 SOLVER = SchurLevenbergMarquardt(model=BrownModel(), rtol=1e-12, xtol=1e-8)
@@ -56,6 +56,8 @@ class Chain(eqx.Module):
     visible: Bool[Array, "N C"]
     image_sizes: tuple[tuple[int, int], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
+
+    __hash__ = hash_or_hint
 
     def points(self, measured: Measured) -> Float[Array, "N 3"]:
         """The points in the room, m; without landmarks in the solver's own frame and unit.

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.camera.distortion import AbstractDistortion, Brown
 from jaxpoint.geometry import rotation as so3
-from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint, stack_last
 from jaxpoint.geometry.line import Ray, normalised
 from jaxpoint.geometry.pose import Pose
 
@@ -25,6 +25,8 @@ class Camera(eqx.Module):
     center: Float[Array, "2"] = eqx.field(converter=as_float)  # px, principal point
     distortion: AbstractDistortion
     cam_from_world: Pose
+
+    __hash__ = hash_or_hint
 
     @property
     def intrinsics(self) -> Float[Array, "3 3"]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.distortion import Brown
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.pose import Pose, Similarity
 
@@ -29,6 +29,8 @@ class CameraRig(eqx.Module):
     image_sizes: Int[Array, "C 2"]  # px, width and height
     names: tuple[str, ...] = eqx.field(static=True)
     reach: Float[Array, " C"] | None = None  # px from the principal point, where the lens models end; None: nowhere
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def from_parameters(

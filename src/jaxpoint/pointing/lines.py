@@ -13,7 +13,7 @@ import numpy as np
 from jax.core import Tracer
 
 from jaxpoint.cores import by_all_cores
-from jaxpoint.devices import device_of, running_on
+from jaxpoint.devices import Device, device_of, running_on
 
 PART = 1024  # lines that one core works on before it takes others: all about them stays in its cache
 PART_ELSEWHERE = 2**16  # lines in one call on another device, so that its memory suffices
@@ -39,7 +39,7 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
         return _on_cpu(function, batch, device, *lines)
 
 
-def _on_cpu(function: Callable[..., Result], batch: tuple[int, ...], device: jax.Device, *lines: Any) -> Result:
+def _on_cpu(function: Callable[..., Result], batch: tuple[int, ...], device: Device, *lines: Any) -> Result:
     """In numpy: for a few lines JAX's own slicing and padding takes longer than the program."""
     count = math.prod(batch)
     flat = _reshaped(jax.tree.map(np.asarray, lines), len(batch), (count,))
