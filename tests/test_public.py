@@ -119,6 +119,6 @@ def test_a_class_with_methods_to_compile_says_how(name):
 def test_methods_are_compiled_as_the_hint_says():
     pose, ray = jaxpoint.Pose.identity(), jaxpoint.Ray(np.zeros(3), np.array([1.0, 0.0, 0.0]))
     with pytest.raises(TypeError, match=r"A Pose holds arrays.*`equinox\.filter_jit\(x\.method\)`, or"):
-        jax.jit(pose.inverse)
+        jax.jit(pose.inverse)()
     np.testing.assert_array_equal(eqx.filter_jit(pose.inverse)().rotation, np.eye(3))
     np.testing.assert_array_equal(jax.jit(lambda one, far: one.at(far))(ray, 2.0), [2.0, 0.0, 0.0])
