@@ -1,8 +1,10 @@
 """The tree is the architecture: who may import whom, and what importing the package may do."""
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -65,6 +67,15 @@ def test_opencv_stays_at_the_edge():
     users = {layer(path) for path in modules() if any(name.split(".")[0] == "cv2" for name in imported(path))}
     assert users <= USES_OPENCV
     assert users, "The guard looks for the wrong name."
+
+
+def test_every_extra_is_used():
+    """Extras for users, that is, whose packages are imported by their own names; `dev` is for tests and checks."""
+    project = tomllib.loads((ROOT.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    used = {name.split(".")[0] for path in modules() for name in imported(path)}
+    for extra, packages in project["optional-dependencies"].items():
+        unused = {re.match(r"[\w-]+", package)[0] for package in packages} - used
+        assert extra == "dev" or not unused, f"Nothing imports {unused} of the extra '{extra}'."
 
 
 def test_library_does_not_print():
