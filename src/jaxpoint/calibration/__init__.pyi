@@ -9,6 +9,7 @@ from .alignment import (
 from .chain import Chain as Chain, Measured as Measured, chain_of as chain_of
 from .difference import Difference as Difference
 from .expected import ExpectedError as ExpectedError, expected_error as expected_error
+from .factors import Factors as Factors, adjust_projective as adjust_projective, factorise as factorise
 from .implicit import optimum as optimum
 from .parallel import device_mesh as device_mesh, local_blocks as local_blocks, solve_on as solve_on, spread as spread
 from .propagation import (
@@ -35,4 +36,6 @@ from .schur import (
     Unknowns as Unknowns,
 )
 from .selfcal import calibrate as calibrate
+from .stratification import Upgraded as Upgraded, Views as Views, candidates as candidates, upgrade as upgrade
+from .sturm_triggs import depth_ratios as depth_ratios, fill_rank_four as fill_rank_four
 from .uncertainty import Uncertainty as Uncertainty, uncertainty_of as uncertainty_of
