@@ -54,6 +54,7 @@ from .pointing.words import words_evidence as words_evidence
 # How people miss
 from .pointing.bias.bias import Bias as Bias
 from .pointing.bias.fit import fit_bias as fit_bias, fit_personal_bias as fit_personal_bias
+from .pointing.bias.learn import learn_bias as learn_bias
 from .pointing.bias.pointings import Pointings as Pointings
 from .io.bias import read_bias as read_bias
 from .io.pointings import read_pointings as read_pointings

@@ -11,12 +11,15 @@ from jax.test_util import check_grads
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
+from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.angles import azimuth_elevation, turned
 from jaxpoint.pointing.bias.drawn import drawn
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias, left_out
+from jaxpoint.pointing.bias.learn import learn_bias
 from jaxpoint.pointing.bias.models import Blend, Constant, Personal, Polynomial
 from jaxpoint.pointing.bias.score import errors_deg, score
+from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
 from jaxpoint.pointing.joints import estimated, is_left
 
@@ -222,3 +225,25 @@ def test_a_personal_bias_is_one_persons(people, constant):
     one = people.select(people.who == 0)
     with pytest.raises(InsufficientDataError, match="is personal already"):
         fit_personal_bias(fit_personal_bias(constant, one), one)
+
+
+def test_learning_is_a_function_for_jit_vmap_and_grad():
+    """From directions to a blend, to what it leaves, and to people's covariance; one gesture counts for nothing."""
+    people = crowds.crowd(9, people=5, gestures=6, slips=0.0).of_lines(("head", "hand"))
+    gone = np.ones(len(people))
+    gone[3] = 0.0
+
+    def told(directions, weights):
+        found = learn_bias("blend", Observed.at_targets(directions, people.to_targets), people.who, 5, weights)
+        parts = found.model.offset, found.spread.scale, found.between, found.within.scale
+        return sum(
+            jnp.sum(jnp.sin(1.0 + jnp.arange(part.size)) * part.ravel() * 10.0**k) for k, part in enumerate(parts)
+        )
+
+    both = jit_once(jax.vmap(jax.value_and_grad(told), in_axes=(None, 0)))
+    weights = np.stack([np.ones(len(people)), gone])
+    _, slope = both(people.directions, weights)
+    np.testing.assert_allclose(slope[1, 3], 0.0, atol=1e-12)
+    step = 1e-5 * np.random.default_rng(0).normal(size=people.directions.shape)
+    after, before = (both(people.directions + sign * step, weights)[0] for sign in (1, -1))
+    np.testing.assert_allclose(np.sum(slope * step[None], axis=(1, 2, 3)), (after - before) / 2, rtol=1e-2)

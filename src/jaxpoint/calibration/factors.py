@@ -46,11 +46,11 @@ def factorise(
     Raises:
         ValueError: float64 would be cut to float32.
     """
-    points, weights, start = promote(points, weights, start)
-    ones = jnp.ones_like(start[:, 0, 0])
-    places = jnp.zeros_like(points[:, 0, :1]).repeat(3, axis=1)
+    pixels, shares, cameras = promote(points, weights, start)
+    ones = jnp.ones_like(cameras[:, 0, 0])
+    places = jnp.zeros_like(pixels[:, 0, :1]).repeat(3, axis=1)
     return fit_projective(
-        points, weights, start, 0.0 * ones, places, ones, ones, jnp.asarray(LEAST_SQUARES, points.dtype)
+        pixels, shares, cameras, 0.0 * ones, places, ones, ones, jnp.full_like(ones[0], LEAST_SQUARES)
     )
 
 
@@ -72,8 +72,8 @@ def adjust_projective(
     Raises:
         ValueError: float64 would be cut to float32.
     """
-    points, weights, start, half, loss = promote(points, weights, start, half_diagonals, loss_px)
-    return fit_projective(points, weights, start.cameras, start.lenses, start.points, half, jnp.zeros_like(half), loss)
+    pixels, shares, first, half, loss = promote(points, weights, start, half_diagonals, loss_px)
+    return fit_projective(pixels, shares, first.cameras, first.lenses, first.points, half, jnp.zeros_like(half), loss)
 
 
 def fit_projective(

@@ -6,7 +6,9 @@ Imported at once: `nearest` and `posterior` are names of functions and of their 
 from jaxpoint.pointing.axis import LimbAxis, fit_axis
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias
+from jaxpoint.pointing.bias.learn import Learnt, learn_bias
 from jaxpoint.pointing.bias.pointings import Pointings
+from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.hits import Hits, intersect
 from jaxpoint.pointing.joints import Joints
 from jaxpoint.pointing.line import PointingLine, pointing_lines, pointing_ray
@@ -22,9 +24,11 @@ __all__ = [
     "Box",
     "Hits",
     "Joints",
+    "Learnt",
     "LimbAxis",
     "Nearest",
     "Objects",
+    "Observed",
     "PointingLine",
     "Pointings",
     "Posterior",
@@ -38,6 +42,7 @@ __all__ = [
     "fit_bias",
     "fit_personal_bias",
     "intersect",
+    "learn_bias",
     "nearest",
     "nearest_to_points",
     "pointing_lines",
