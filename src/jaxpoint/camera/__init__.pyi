@@ -6,5 +6,6 @@ from .resection import (
     decompose_projection as decompose_projection,
     projection_from_points as projection_from_points,
     resect as resect,
+    resection as resection,
 )
 from .rig import CameraRig as CameraRig
