@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -71,6 +72,13 @@ def test_what_is_committed_nowhere_goes_to_the_default_device():
     assert devices.on_cpu(jax.device_put(jnp.ones(3), device))
     with jax.default_device("cpu"):
         assert devices.default_device().platform == "cpu"
+
+
+def test_where_there_are_other_devices_inputs_decide(monkeypatch):
+    monkeypatch.setattr(devices, "_cpu_alone", lambda: False)
+    assert devices.on_cpu(jnp.ones(2))
+    monkeypatch.setattr(devices, "_devices_of", lambda *trees: [SimpleNamespace(platform="gpu")])
+    assert not devices.on_cpu(jnp.ones(2))
 
 
 def test_only_the_cores_that_this_process_may_use_are_counted(monkeypatch):
