@@ -21,7 +21,7 @@ from elevation_study import (
 )
 from jaxpoint.geometry.angles import turned
 from jaxpoint.pointing.bias.bias import Bias
-from jaxpoint.pointing.bias.fit import Kind, choose, fit, left_out, refit
+from jaxpoint.pointing.bias.fit import Kind, choose, fit_bias, left_out, refit
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.score import bootstrap, errors_deg
 from jaxpoint.report.style import FAINT, PAGE, camera_colors
@@ -80,7 +80,7 @@ class Grid:
         asked: tuple[tuple[Kind, tuple[str, ...]], ...]
         asked = (("constant", ("forearm",)), ("constant", ("head",)), ("blend", LINES))
         for kind, lines in asked:
-            bias = fit(kind, self.all.of_lines(lines), loss_deg=self.settings.loss_deg)
+            bias = fit_bias(kind, self.all.of_lines(lines), loss_deg=self.settings.loss_deg)
             for side, value in zip(("left", "up"), np.rad2deg(np.sqrt(np.diagonal(bias.between)))):
                 line = lines[0] if len(lines) == 1 else "all"
                 rows.append(self._row(line, kind, "person", f"people's offsets, {side}, rms, deg", value))
@@ -116,7 +116,7 @@ class Grid:
         errors = np.full((self.settings.triples, len(lines)), np.nan)
         for person in range(len(lines.crowd)):
             out = lines.who == person
-            shared = fit("blend", self.all.select(~out), loss_deg=self.settings.loss_deg)
+            shared = fit_bias("blend", self.all.select(~out), loss_deg=self.settings.loss_deg)
             errors[:, out] = self._triples(lines.select(out), self.meant[out], shared, person)
         return over_triples(np.nanmedian(errors, axis=1), "torsalve", "all", "blend, 3 personal targets",
                             "person, target", "median error, deg", "<= 1.9")  # fmt: skip
@@ -161,7 +161,7 @@ class Grid:
 
     def forearm_bias(self) -> Bias:
         """The forearm's bias of all people: what a session without known targets starts from."""
-        return fit("constant", self.all.of_lines(("forearm",)), loss_deg=self.settings.loss_deg, source=SOURCE)
+        return fit_bias("constant", self.all.of_lines(("forearm",)), loss_deg=self.settings.loss_deg, source=SOURCE)
 
     def figures(self) -> list[tuple[Figure, str]]:
         return [

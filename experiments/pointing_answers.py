@@ -12,7 +12,7 @@ from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
 from jaxpoint.answer.lines import HeldJoints
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.bias.bias import Bias
-from jaxpoint.pointing.bias.fit import fit
+from jaxpoint.pointing.bias.fit import fit_bias
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.joints import Joints, is_left
@@ -44,7 +44,7 @@ def fitted(sessions: list[dict]) -> Bias:
     names = tuple(str(i) for i in range(len(people)))
     origins, lines, targets = np.repeat(np.array(origins)[:, None], len(LINES), 1), np.array(lines), np.array(targets)
     given = Pointings(names, tuple(people), LINES, origins, lines, targets)
-    return fit("blend", given, source="simulated people who point approximately, from pixels")
+    return fit_bias("blend", given, source="simulated people who point approximately, from pixels")
 
 
 def answers_of(session: dict, model: Bias, sharper: float = SHARPER) -> list[dict]:

@@ -1,8 +1,10 @@
 """The tree is the architecture: who may import whom, and what importing the package may do."""
 
 import ast
+import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,7 +13,7 @@ import jaxpoint
 
 ROOT = Path(jaxpoint.__file__).parent
 LAYERS = (
-    ("errors", "compilation", "cores", "extras", "finite"),
+    ("errors", "compilation", "cores", "devices", "extras", "finite", "lazy"),
     ("config",),
     ("geometry",),
     ("camera",),
@@ -67,6 +69,15 @@ def test_opencv_stays_at_the_edge():
     assert users, "The guard looks for the wrong name."
 
 
+def test_every_extra_is_used():
+    """Extras for users, that is, whose packages are imported by their own names; `dev` is for tests and checks."""
+    project = tomllib.loads((ROOT.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    used = {name.split(".")[0] for path in modules() for name in imported(path)}
+    for extra, packages in project["optional-dependencies"].items():
+        unused = {re.match(r"[\w-]+", package)[0] for package in packages} - used
+        assert extra == "dev" or not unused, f"Nothing imports {unused} of the extra '{extra}'."
+
+
 def test_library_does_not_print():
     for path in modules():
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -108,11 +119,3 @@ changed = {key for key, value in jax.config.values.items() if before.get(key) !=
 print(sorted(changed))
 """
     assert run_python(code).strip() == "[]"
-
-
-def test_every_public_name_exists_and_is_documented():
-    for name in jaxpoint.__all__:
-        assert getattr(jaxpoint, name).__doc__, name
-    assert set(jaxpoint.__all__) == set(jaxpoint._HOMES)
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        jaxpoint.nothing  # noqa: B018

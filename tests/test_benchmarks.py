@@ -13,6 +13,7 @@ import bundle_adjustment as benchmark
 import engine
 import growth
 import scipy_peer
+import small_solvers
 from bal import read_bal
 from problem import BundleProblem, read_problem, write_problem
 from rooms import Size, room_problem
@@ -131,3 +132,10 @@ def test_exponents_and_their_parts():
     np.testing.assert_allclose(growth.split(rows)[:, 1], [8.0, 32.0, 128.0])
     straight = [growth.Row("points", 8, p, 8 * p, 0.01 * p, None) for p in (100, 200, 400)]
     assert growth.exponent(straight, "points") == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("ways", [small_solvers.axes, small_solvers.lights])
+def test_small_solvers_are_compared_at_the_same_optimum(ways):
+    """Of a limb's ends, m, or a light's centre, px; an arm that points at a camera may have several."""
+    own, library = (way.run() for way in ways(small_solvers.Small(axes=8, lights=8)))
+    assert np.median(np.abs(own - library).max(axis=1)) < 1e-5

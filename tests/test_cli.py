@@ -357,7 +357,7 @@ def test_doctor_examines_this_machine(capsys):
     findings = {finding["name"]: finding for finding in json.loads(out)["findings"]}
     assert findings["float64"]["state"] == "works"
     assert findings["jax"]["state"] == __import__("jax").__version__
-    assert findings["extra 'view'"]["remedy"] in ("", 'pip install "jaxpoint[view]"')
+    assert findings["extra 'tables'"]["remedy"] in ("", 'pip install "jaxpoint[tables]"')
 
 
 @pytest.mark.parametrize(("code", "leave"), [(0, "sys.exit"), (5, "sys.exit"), (130, "os._exit")])

@@ -46,3 +46,23 @@ def test_programs_are_kept_apart_by_version_and_processor(tmp_path, monkeypatch)
     monkeypatch.setattr("jaxpoint.compilation._processor", lambda: "another")
     monkeypatch.setattr(jax.config, "update", lambda name, value: None)
     assert keep_programs(tmp_path) != own
+
+
+def test_options_of_a_cpu_go_to_a_cpu_alone(monkeypatch):
+    """Shown by an option that XLA does not know."""
+    strange = jit(lambda x: x + 1, options={"xla_cpu_of_another_world": True})
+    with pytest.raises(jax.errors.JaxRuntimeError, match="xla_cpu_of_another_world"):
+        strange(1.0)
+    monkeypatch.setattr("jaxpoint.compilation.on_cpu", lambda *trees: False)
+    assert strange(1.0) == 2.0
+    assert jax.jit(strange)(1.0) == 2.0
+
+
+def test_it_works_in_loops_and_where_shapes_alone_are_asked_for():
+    @jit
+    def double(x):
+        return 2 * x
+
+    assert jax.lax.scan(lambda x, _: (double(x), None), jnp.ones(()), length=3)[0] == 8.0
+    assert jax.eval_shape(double, jnp.ones(3)).shape == (3,)
+    assert jax.jvp(double, (1.0,), (1.0,))[1] == 2.0

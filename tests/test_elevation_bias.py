@@ -13,7 +13,7 @@ from elevation_grid import Grid
 from elevation_study import ElevationBias, calibration_error, personal_turns, plain_means, probabilities, reliability
 from elevation_wall import Wall
 from jaxpoint.io.bias import read_bias
-from jaxpoint.pointing.bias.fit import fit
+from jaxpoint.pointing.bias.fit import fit_bias
 from jaxpoint.pointing.bias.spread import Spread
 
 
@@ -48,7 +48,7 @@ def test_probabilities_are_bayes_rule():
 
 def test_triples_take_three_targets_and_are_told():
     people = crowds.crowd(people=3, gestures=40).of_lines(("head",))
-    bias = fit("constant", people)
+    bias = fit_bias("constant", people)
     own = people.select(people.who == 1)
     own = replace(own, directions=np.asarray(bias.correct(own.directions))[:, None])
     meant = np.arange(40) % 8

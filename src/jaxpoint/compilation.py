@@ -9,12 +9,16 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import cache, wraps
 from importlib.metadata import version
 from pathlib import Path
 from typing import TypeVar
 
 import jax
+from jax.core import eval_context
+from jax.extend.core import get_opaque_trace_state
+
+from jaxpoint.devices import on_cpu
 
 CPU_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_prefer_vector_width": 512}
 QUICK_OPTIONS = {**CPU_OPTIONS, "xla_backend_optimization_level": 0}
@@ -23,24 +27,48 @@ Result = TypeVar("Result")
 
 
 def jit(function: Callable[..., Result], *, options: dict = CPU_OPTIONS, **keywords) -> Callable[..., Result]:
-    """`jax.jit` with our options. Inside another `jit`, which decides for all, it is a plain `jax.jit`."""
-    alone = jax.jit(function, compiler_options=options, **keywords)
-    nested = jax.jit(function, **keywords)
+    """`jax.jit` with compiler options of its own where a call runs on the CPU.
+
+    On other backends and inside transformations it is a plain `jax.jit`: an outer `jit`'s options hold for all in it.
+
+    Args:
+        options: of XLA on a CPU.
+        keywords: of `jax.jit`.
+    """
+    tuned = jax.jit(function, compiler_options=options, **keywords)
+    plain = jax.jit(function, **keywords)
 
     @wraps(function)
     def call(*args, **kwargs):
-        try:
-            return alone(*args, **kwargs)
-        except ValueError as error:  # JAX has no other public way to tell
-            if "nested jit" not in str(error):
-                raise
-            return nested(*args, **kwargs)
+        chosen = tuned if on_cpu(args, kwargs) and not _inside_transformation() else plain
+        return chosen(*args, **kwargs)
 
     return call
 
 
-jit_once = partial(jit, options=QUICK_OPTIONS)
-"""For programs that run once or twice: quick to compile is worth more than quick to run."""
+def _inside_transformation() -> bool:
+    """Whether a transformation of JAX is at work: `jit`, `grad`, `vmap`, `scan`, ...
+
+    JAX takes options of programs that it runs at once, and refuses those of programs that become part of another or
+    are differentiated.
+    """
+    return get_opaque_trace_state() != _top_level()
+
+
+@cache
+def _top_level() -> object:
+    """The state of JAX in which nothing is traced."""
+    with eval_context():
+        return get_opaque_trace_state()
+
+
+def jit_once(function: Callable[..., Result], **keywords) -> Callable[..., Result]:
+    """`jit` for programs that run once or twice: quick to compile is worth more than quick to run.
+
+    Args:
+        keywords: of `jax.jit`.
+    """
+    return jit(function, options=QUICK_OPTIONS, **keywords)
 
 
 def keep_programs(folder: Path) -> Path:

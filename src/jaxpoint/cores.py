@@ -11,12 +11,19 @@ from typing import TypeVar
 import jax
 import numpy as np
 
+from jaxpoint.devices import Device, default_device, running_on
+
 _ALIGNMENT = 64  # bytes; what JAX wants of memory that it did not make itself
 
 Result = TypeVar("Result")
 
 
-def by_all_cores(part: Callable[[int], Result], count: int, size: int) -> Result:
+def usable_cores() -> int:
+    """Cores that this process may use: those that its affinity allows, where the system knows one."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def by_all_cores(part: Callable[[int], Result], count: int, size: int, device: Device | None = None) -> Result:
     """The first `count` rows of all parts, every core of the CPU at work on one of them at a time.
 
     XLA runs one program after the other, and one that loops over blocks on one core. What a part gives is copied
@@ -24,8 +31,11 @@ def by_all_cores(part: Callable[[int], Result], count: int, size: int) -> Result
 
     Args:
         part: gives a tree of arrays of `size` rows each, those from the row of its argument on.
+        device: a CPU, on which the parts run and the result lies; JAX's default if left out.
     """
-    first = part(0)  # compiled before many ask for it
+    device = default_device() if device is None else device
+    with running_on(device):
+        first = part(0)  # compiled before many ask for it
     whole = jax.tree.map(lambda leaf: _aligned((count, *leaf.shape[1:]), np.dtype(leaf.dtype)), first)
     wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # may be so in this thread alone
 
@@ -34,13 +44,14 @@ def by_all_cores(part: Callable[[int], Result], count: int, size: int) -> Result
             kept[start : start + size] = np.asarray(leaf)[: count - start]
 
     def work(start: int) -> None:
-        with jax.enable_x64(wide):
+        with jax.enable_x64(wide), running_on(device):
             keep(start, part(start))
 
     keep(0, first)
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         list(pool.map(work, range(size, count, size)))
-    return jax.tree.map(jax.dlpack.from_dlpack, whole)
+    result = jax.tree.map(jax.dlpack.from_dlpack, whole)
+    return result if device == jax.local_devices()[0] else jax.device_put(result, device)
 
 
 def _aligned(shape: tuple[int, ...], kind: np.dtype) -> np.ndarray:

@@ -14,7 +14,7 @@ from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.difference import difference
 from jaxpoint.calibration.quality import assess
 from jaxpoint.camera.lens import AbstractLens, Coefficient
-from jaxpoint.camera.lenses import LENSES, register
+from jaxpoint.camera.lenses import LENSES, register_lens
 from jaxpoint.config import LensSettings
 from jaxpoint.io.calibration import read_calibration, write_calibration_json
 
@@ -59,7 +59,7 @@ class FieldOfView(AbstractLens):
 
 @pytest.fixture(scope="module")
 def registered():
-    register(FieldOfView)
+    register_lens(FieldOfView)
     yield
     del LENSES[FieldOfView.name]
 

@@ -235,10 +235,37 @@ def test_max_steps_and_throw_behave_as_optimistix_says():
     with pytest.raises(eqx.EquinoxRuntimeError, match="maximum number of"):
         optx.least_squares(MODEL.residuals, STRUCTURED, start, args=problem, max_steps=2, throw=True)
     limited = run(STRUCTURED, start, step_limited(problem, 2), 200)
-    assert limited.result == optx.RESULTS.successful
+    assert limited.result == optx.RESULTS.nonlinear_max_steps_reached
     assert limited.stats["num_steps"] == 2
     assert not limited.stats["settled"]
     np.testing.assert_allclose(limited.value.cameras, early.value.cameras)
+
+
+def test_another_function_than_the_residuals_of_the_model_is_refused():
+    problem, start = dense_problem()
+
+    def doubled(y, problem):
+        return jax.tree.map(lambda part: 2.0 * part, MODEL.residuals(y, problem))
+
+    for other in (doubled, lambda y, problem: y.cameras - problem.prior_mean):
+        with pytest.raises(ValueError, match=r"own model \(BrownModel\) and was given another function; pass"):
+            optx.least_squares(other, STRUCTURED, start, args=problem)
+    same = optx.least_squares(lambda y, problem: MODEL.residuals(y, problem), STRUCTURED, start, args=problem)
+    assert same.result == optx.RESULTS.successful
+
+
+def test_a_cost_that_is_not_finite_is_no_success():
+    """From the start, or for every step: nothing settles, and nothing moves."""
+    problem, start = dense_problem()
+    wild = eqx.tree_at(lambda p: p.prior_mean, problem, problem.prior_mean.at[0, 6].set(jnp.nan))
+    for broken in (wild, eqx.tree_at(lambda p: p.pixels, problem, problem.pixels.at[0, 0, 0, 0].set(jnp.inf))):
+        end = run(STRUCTURED, start, broken, 200)
+        assert end.result == optx.RESULTS.nonfinite
+        assert not end.stats["settled"]
+        assert end.stats["num_steps"] == 1
+        np.testing.assert_array_equal(end.value.cameras, start.cameras)
+    with pytest.raises(eqx.EquinoxRuntimeError, match="Nonfinite"):
+        optx.least_squares(MODEL.residuals, STRUCTURED, start, args=wild, throw=True)
 
 
 def test_points_of_held_cameras_are_those_of_scipy(noisy):

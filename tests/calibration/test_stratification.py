@@ -89,3 +89,21 @@ def test_the_grid_comes_near_without_any_belief(pinhole):
     # The three offered are unlike each other.
     focals = [np.log(np.sqrt(np.asarray(image_of_quadric(views.projections, root))[[0, 2], 0, 0])) for root in roots]
     assert min(np.abs(focals[i] - focals[j]).max() for i in range(3) for j in range(i)) > 0.25
+
+
+def test_the_upgrade_has_derivatives(pinhole):
+    """Of a number of the Euclidean rig by the projective cameras, from hypotheses to focal lengths and rotations."""
+    views, points = scrambled(pinhole, 0)
+    views = eqx.tree_at(lambda v: v.log_focal_sigma, views, jnp.asarray(0.3))
+    kept, rng = jnp.asarray(pinhole.kept), np.random.default_rng(1)
+
+    def told(projections):
+        own = eqx.tree_at(lambda v: v.projections, views, projections)
+        rig = upgrade(candidates(own, jnp.asarray(PAIRS[:1]))[0][0], own, jnp.asarray(points), kept)
+        relative = rig.rotation[1] @ rig.rotation[0].T
+        return (relative * jnp.arange(9.0).reshape(3, 3)).sum() + rig.focal @ jnp.arange(4.0)
+
+    start, step = views.projections, 0.1 * rng.normal(size=views.projections.shape)
+    value, slope = jax.jit(told), jax.jit(jax.grad(told))(start)
+    along = (value(start + 1e-4 * step) - value(start - 1e-4 * step)) / 2e-4
+    assert float((slope * step).sum()) == pytest.approx(float(along), rel=1e-3)

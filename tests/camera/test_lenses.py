@@ -11,7 +11,7 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.conversion import convert
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.lenses import LENSES, lens_of_choice, register
+from jaxpoint.camera.lenses import LENSES, lens_of_choice, register_lens
 from jaxpoint.camera.pinhole import Pinhole
 from jaxpoint.camera.rational import Rational
 from jaxpoint.errors import UsageError
@@ -148,7 +148,7 @@ def test_settings_name_lenses():
         choices = {"brown": ()}  # noqa: RUF012 (never used)
 
     with pytest.raises(ValueError, match="called 'brown' is known"):
-        register(Other)
+        register_lens(Other)
     assert LENSES["brown"] is Brown
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
-from jaxpoint.camera.resection import decompose_projection, projection_from_points, resect
+from jaxpoint.camera.resection import decompose_projection, projection_from_points, resect, resection
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Pose
 
@@ -81,6 +81,23 @@ def test_projection_is_pure_and_differentiable():
     weights = np.append(np.ones(12), 0.0)
     hidden = PROJECTION(np.vstack([POINTS[:12], [9.0, 9, 9]]), np.vstack([pixels, [0.0, 0]]), weights)
     np.testing.assert_allclose(hidden, both[0], rtol=1e-8)
+
+
+def test_resection_is_a_function_for_jit_vmap_and_grad():
+    pixels = np.asarray(SEEN(PINHOLE, POINTS)[:12]) + RNG.normal(size=(2, 12, 2)) * 0.5
+
+    def focal(pixels):
+        return resect(POINTS[:12], pixels).camera.focal.sum()
+
+    both = jax.jit(jax.vmap(jax.value_and_grad(focal)))
+    values, slopes = both(pixels)
+    assert values[0] == pytest.approx(float(focal(pixels[0])), rel=1e-9)
+    step = 1e-3 * RNG.normal(size=pixels.shape)
+    numeric = (both(pixels + step)[0] - both(pixels - step)[0]) / 2
+    np.testing.assert_allclose(np.sum(slopes * step, axis=(1, 2)), numeric, rtol=1e-4)
+    assert jax.jit(resection)(POINTS[:12], pixels[1]).converged
+    assert resect(POINTS[:12], pixels[0]).message == "converged"
+    assert resect(POINTS[:12], pixels[0], refine=False).message == "linear solution"
 
 
 @pytest.mark.parametrize(

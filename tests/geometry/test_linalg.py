@@ -9,7 +9,9 @@ from jax.test_util import check_grads
 from jaxpoint.geometry.linalg import (
     null_vector,
     root_solve,
+    smallest_vectors,
     solve_positive,
+    span_projector,
     symmetric_full,
     symmetric_inverse,
     symmetric_root,
@@ -50,6 +52,23 @@ def test_null_vector_is_numpys_with_derivatives():
     check_grads(fixed, (matrix,), order=1, modes=["fwd", "rev"], atol=1e-6, rtol=1e-6)
     wide = jnp.asarray(RNG.normal(size=(2, 3)))
     np.testing.assert_allclose(wide @ null_vector(wide), 0, atol=1e-14)
+
+
+def test_spans_have_derivatives_where_eigenvalues_coincide():
+    """Of a matrix with the eigenvalues 0, 0, 1, 1, 2: the projector onto the first two vectors, in any basis."""
+    basis = np.linalg.qr(RNG.normal(size=(5, 5)))[0]
+    matrix = (basis * [0.0, 0.0, 1.0, 1.0, 2.0]) @ basis.T
+
+    @jax.jit
+    def onto(m):
+        vectors = smallest_vectors(m + m.T, 2)
+        return vectors @ vectors.T
+
+    np.testing.assert_allclose(onto(matrix), basis[:, :2] @ basis[:, :2].T, atol=1e-13)
+    check_grads(onto, (matrix,), order=1, modes=["fwd", "rev"], atol=1e-6, rtol=1e-6)
+    orthonormal = jnp.asarray(basis[:, :3])  # its singular values coincide
+    np.testing.assert_allclose(span_projector(2.0 * orthonormal), orthonormal @ orthonormal.T, atol=1e-13)
+    check_grads(jax.jit(span_projector), (orthonormal,), order=1, modes=["fwd", "rev"], atol=1e-6, rtol=1e-6)
 
 
 def test_roots_of_symmetric_matrices_are_numpys():

@@ -11,12 +11,15 @@ from jax.test_util import check_grads
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
+from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.angles import azimuth_elevation, turned
 from jaxpoint.pointing.bias.drawn import drawn
-from jaxpoint.pointing.bias.fit import fit, fit_personal, left_out
+from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias, left_out
+from jaxpoint.pointing.bias.learn import learn_bias
 from jaxpoint.pointing.bias.models import Blend, Constant, Personal, Polynomial
 from jaxpoint.pointing.bias.score import errors_deg, score
+from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
 from jaxpoint.pointing.joints import estimated, is_left
 
@@ -31,12 +34,12 @@ def people():
 
 @pytest.fixture(scope="module")
 def constant(people):
-    return fit("constant", people, source="drawn")
+    return fit_bias("constant", people, source="drawn")
 
 
 @pytest.fixture(scope="module")
 def blend(people):
-    return fit("blend", people)
+    return fit_bias("blend", people)
 
 
 def test_constant_is_scipys_robust_fit(people, constant):
@@ -52,7 +55,7 @@ def test_constant_is_scipys_robust_fit(people, constant):
 
 def test_least_squares_are_means(people):
     """Without a loss the elevation is that of the mean, slips and all: the thesis's way."""
-    found = fit("constant-elevation", people, loss_deg=None)
+    found = fit_bias("constant-elevation", people, loss_deg=None)
     np.testing.assert_allclose(found.model.elevation, people.errors[:, 1].mean(), atol=1e-6)
 
 
@@ -67,7 +70,7 @@ def test_polynomial_follows_the_elevation():
         directions = np.asarray(turned(true, bent))
         elevation = np.asarray(azimuth_elevation(directions))[:, 1]
         bent = np.stack([0.05 + 0.1 * elevation, 0.1 - 0.2 * elevation + 0.3 * elevation**2], axis=1)
-    found = fit("polynomial", replace(line, directions=directions[:, None]))
+    found = fit_bias("polynomial", replace(line, directions=directions[:, None]))
     assert errors_deg(line, np.asarray(found.correct(directions[:, None]))).max() < 0.1
 
 
@@ -157,7 +160,7 @@ def test_spread_is_scipys_student(freedom):
 
 def test_spread_tells_people_from_gestures():
     people = crowds.crowd(8, people=7, gestures=36, between_deg=4.0, within_deg=1.0, slips=0.0)
-    found = fit("constant", people.of_lines(("head",)))
+    found = fit_bias("constant", people.of_lines(("head",)))
     within = np.sqrt(np.diagonal(found.within.scale))
     between = np.sqrt(np.diagonal(found.between))
     np.testing.assert_allclose(np.rad2deg(within), 1.0, atol=0.2)
@@ -168,18 +171,18 @@ def test_spread_tells_people_from_gestures():
 @pytest.mark.parametrize("each", [2, 4])
 def test_few_gestures_each_tell_people_from_gestures(each):
     people = crowds.crowd(3, people=150, gestures=each, between_deg=3.0, within_deg=2.0, slips=0.0)
-    found = fit("constant", people.of_lines(("head",)))
+    found = fit_bias("constant", people.of_lines(("head",)))
     np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diagonal(found.within.scale))), 2.0, rtol=0.15)
     np.testing.assert_allclose(np.rad2deg(np.sqrt(np.diagonal(found.between))), 3.0, rtol=0.2)
 
 
 def test_one_gesture_each_tells_nothing_of_a_person():
     people = crowds.crowd(3, people=30, gestures=1, between_deg=3.0, slips=0.0).of_lines(("head",))
-    found = fit("constant", people)
+    found = fit_bias("constant", people)
     np.testing.assert_allclose(found.within.scale, found.spread.scale)
     assert np.rad2deg(np.sqrt(np.linalg.eigvalsh(found.between))).max() < 0.2
     with pytest.raises(InsufficientDataError, match=r"30 gestures of 30 people.*twice or more"):
-        fit_personal(found, people.select(np.arange(1)))
+        fit_personal_bias(found, people.select(np.arange(1)))
 
 
 def test_a_personal_offset_is_the_posterior_mean(people, constant):
@@ -196,10 +199,10 @@ def test_a_personal_offset_is_the_posterior_mean(people, constant):
     level = three.level
     tight = np.diag([(level**2).sum() / 4 + 1 / 9, 3 / 4 + 1 / 9])
     expected = np.linalg.solve(tight, [(level**2 * errors[:3, 0]).sum() / 4, errors[:3, 1].sum() / 4])
-    found = fit_personal(shared, three)
+    found = fit_personal_bias(shared, three)
     np.testing.assert_allclose(found.model.offset, expected, atol=np.deg2rad(0.25))  # Student's t of 20 degrees
     assert np.linalg.eigvalsh(found.between).max() < np.linalg.eigvalsh(shared.between).min()
-    many = fit_personal(shared, own)
+    many = fit_personal_bias(shared, own)
     np.testing.assert_allclose(np.rad2deg(many.model.offset), [5.0, -4.0], atol=0.4)
 
 
@@ -213,12 +216,34 @@ def test_a_personal_offset_is_the_posterior_mean(people, constant):
 )
 def test_too_little_is_said(people, change, kind, message):
     with pytest.raises(InsufficientDataError, match=message):
-        fit(kind, change(people))
+        fit_bias(kind, change(people))
 
 
 def test_a_personal_bias_is_one_persons(people, constant):
     with pytest.raises(InsufficientDataError, match="6 here"):
-        fit_personal(constant, people)
+        fit_personal_bias(constant, people)
     one = people.select(people.who == 0)
     with pytest.raises(InsufficientDataError, match="is personal already"):
-        fit_personal(fit_personal(constant, one), one)
+        fit_personal_bias(fit_personal_bias(constant, one), one)
+
+
+def test_learning_is_a_function_for_jit_vmap_and_grad():
+    """From directions to a blend, to what it leaves, and to people's covariance; one gesture counts for nothing."""
+    people = crowds.crowd(9, people=5, gestures=6, slips=0.0).of_lines(("head", "hand"))
+    gone = np.ones(len(people))
+    gone[3] = 0.0
+
+    def told(directions, weights):
+        found = learn_bias("blend", Observed.at_targets(directions, people.to_targets), people.who, 5, weights)
+        parts = found.model.offset, found.spread.scale, found.between, found.within.scale
+        return sum(
+            jnp.sum(jnp.sin(1.0 + jnp.arange(part.size)) * part.ravel() * 10.0**k) for k, part in enumerate(parts)
+        )
+
+    both = jit_once(jax.vmap(jax.value_and_grad(told), in_axes=(None, 0)))
+    weights = np.stack([np.ones(len(people)), gone])
+    _, slope = both(people.directions, weights)
+    np.testing.assert_allclose(slope[1, 3], 0.0, atol=1e-12)
+    step = 1e-5 * np.random.default_rng(0).normal(size=people.directions.shape)
+    after, before = (both(people.directions + sign * step, weights)[0] for sign in (1, -1))
+    np.testing.assert_allclose(np.sum(slope * step[None], axis=(1, 2, 3)), (after - before) / 2, rtol=1e-2)

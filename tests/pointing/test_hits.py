@@ -1,5 +1,6 @@
 """Hits, nearest objects and walls against brute force in numpy, scipy's minimisers and finite differences."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -244,3 +245,17 @@ def test_a_guessed_room_is_hardly_larger_than_what_is_known_of_it():
 def test_an_empty_database():
     with pytest.raises(ValueError, match="0 objects"):
         Objects.of([])
+
+
+def test_distances_have_derivatives_by_the_objects_alone():
+    """The rays are plain arrays here: only what the function holds is traced."""
+    ball = Objects.of([Thing("ball", Sphere(np.array([3.0, 0.0, 0.0]), 0.5))])
+    rays = Ray(np.zeros((3, 3)), np.tile([1.0, 0.0, 0.0], (3, 1)))
+
+    def distances(shift):
+        return intersect(
+            rays,
+            eqx.tree_at(lambda o: o.shapes.primitives[0].center, ball, ball.shapes.primitives[0].center + shift[None]),
+        ).distance[:, 0]
+
+    np.testing.assert_allclose(jax.jacfwd(distances)(jnp.zeros(3)), np.tile([1.0, 0.0, 0.0], (3, 1)), atol=1e-12)

@@ -59,7 +59,7 @@ def masses_of(line, freedom):
     return np.asarray(masses(line, Objects.of(furnished()).shapes, jnp.diag(jnp.asarray(SPREAD) ** 2), freedom=freedom))
 
 
-@pytest.mark.parametrize("freedom", [None, 2, 4, 10])
+@pytest.mark.parametrize("freedom", [None, 1, 2, 3, 4, 7, 10])
 def test_masses_are_scipys(freedom):
     found = masses_of(line(), freedom)
     for mass, (left, up, width, height) in zip(found, DRAWN):
@@ -70,6 +70,12 @@ def test_masses_are_scipys(freedom):
             law = multivariate_t(shape=np.diag(SPREAD**2), df=freedom)
             expected = law.cdf(high, lower_limit=low, random_state=np.random.default_rng(0))
         assert float(mass) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("freedom", [0, -2, 2.5])
+def test_degrees_of_freedom_that_no_distribution_has_are_refused(freedom):
+    with pytest.raises(ValueError, match=f"`freedom` cannot be {freedom:g}; give a whole number"):
+        Behaviour(freedom=freedom)
 
 
 @pytest.mark.parametrize("freedom", [None, 4])

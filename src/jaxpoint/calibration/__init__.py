@@ -1,1 +1,5 @@
 """From tracks to a calibration: factorisation, upgrade, adjustment, alignment."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

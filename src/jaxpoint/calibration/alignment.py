@@ -29,6 +29,11 @@ CLEAR_HAND = 2.5  # how many times the residual of one hand must exceed the othe
 SUSPICIOUS = 4.0  # a leave-one-out error this many times the median is worth a warning
 
 
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["similarity", "residual_mm", "leave_one_out_mm", "rms_mm", "max_mm"],
+    meta_fields=["method", "names", "handedness_verified", "warnings"],
+)
 @dataclass(frozen=True)
 class Alignment:
     """How a calibration was brought into the room, and how well the known points agree."""

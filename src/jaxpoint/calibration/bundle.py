@@ -96,7 +96,10 @@ class Adjusted(eqx.Module):
 
 def solved(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
     """Run the structured Levenberg-Marquardt through optimistix. One program for every number of steps and loss."""
-    solution = optx.least_squares(solver.model.residuals, solver, start, args=problem, max_steps=500, throw=False)
+    options = {"own_residuals": True}
+    solution = optx.least_squares(
+        solver.model.residuals, solver, start, args=problem, options=options, max_steps=500, throw=False
+    )
     value, stats = solution.value, solution.stats
     return Adjusted(value.cameras, value.points, stats["cost"], stats["num_steps"], stats["settled"])
 

@@ -23,7 +23,7 @@ from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.parameters import adjusted_cameras, rig_of_parameters, rotations_of
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.triangulation import triangulate
 
 RTOL, XTOL = 1e-12, 1e-8
@@ -57,6 +57,8 @@ class Chain(eqx.Module):
     image_sizes: tuple[tuple[int, int], ...] = eqx.field(static=True)
     names: tuple[str, ...] = eqx.field(static=True)
     lens: type[AbstractLens] = eqx.field(static=True)
+
+    __hash__ = hash_or_hint
 
     def points(self, measured: Measured) -> Float[Array, "N 3"]:
         """The points in the room, m; without landmarks in the solver's own frame and unit.

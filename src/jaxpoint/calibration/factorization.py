@@ -8,17 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.calibration.bundle import BLOCK, LEAST_SQUARES, from_blocks, solve, to_blocks
-from jaxpoint.calibration.projective import ProjectiveModel
+from jaxpoint.calibration.bundle import LEAST_SQUARES
+from jaxpoint.calibration.factors import Factors, fit_projective
 from jaxpoint.calibration.recording import padded_cameras
-from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
 from jaxpoint.calibration.twoview import NormalisedTracks, undistorted
-
-LENS_SIGMA = 0.1  # of a division-model parameter in the projective adjustment
-SOLVER = SchurLevenbergMarquardt(model=ProjectiveModel(), rtol=1e-5, start_damping=1e-2, project_points=True)
+from jaxpoint.compilation import jit
 
 
 @dataclass(frozen=True)
@@ -32,7 +28,9 @@ class Projective:
     cost: float
 
 
-def factorise(data: NormalisedTracks, lenses: np.ndarray, kept: np.ndarray, rng: np.random.Generator) -> Projective:
+def factorise_tracks(
+    data: NormalisedTracks, lenses: np.ndarray, kept: np.ndarray, rng: np.random.Generator
+) -> Projective:
     """One factorisation from a random start.
 
     Args:
@@ -42,62 +40,41 @@ def factorise(data: NormalisedTracks, lenses: np.ndarray, kept: np.ndarray, rng:
     """
     points, weights = undistorted(data.points, lenses)
     weights = np.where(_usable(kept), weights**2, 0.0)
-    cameras = data.points.shape[1]
-    start = rng.normal(size=(cameras, 3, 4))
+    start = rng.normal(size=(len(lenses), 3, 4))
     start[:, 2] = [0.0, 0.0, 0.0, 1.0] + 0.1 * start[:, 2]
-    problem, unknowns = _problem(data, points, weights, start, np.zeros(cameras), np.zeros((len(points), 3)))
-    end = solve(SOLVER, unknowns, problem)
-    found = np.asarray(end.cameras)[:cameras, :12].reshape(cameras, 3, 4)
-    return finished(data, found, from_blocks(end.points), lenses, kept, float(end.cost))
+    places = np.zeros((len(points), 3))
+    end = _solve(data, points, weights, start, np.zeros(len(lenses)), places)
+    return finished(data, np.asarray(end.cameras)[: len(lenses)], np.asarray(end.points), lenses, kept, float(end.cost))
 
 
 def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px: float) -> Projective:
     """Projective bundle adjustment: cameras, points and one lens parameter a camera, Cauchy loss."""
     cameras = len(start.cameras)
     seen = start.points[:, 3:] != 0  # a frame that nobody saw must not spread NaN
-    points = np.where(seen, start.points[:, :3], 0.0) / np.where(seen, start.points[:, 3:], 1.0)
-    weights = _usable(kept).astype(float)
-    problem, unknowns = _problem(data, data.points, weights, start.cameras, start.lenses, points, loss_px)
-    end = solve(SOLVER, unknowns, problem)
-    found = np.asarray(end.cameras)[:cameras]
-    return finished(
-        data, found[:, :12].reshape(cameras, 3, 4), from_blocks(end.points), found[:, 12], kept, float(end.cost)
-    )
+    places = np.where(seen, start.points[:, :3], 0.0) / np.where(seen, start.points[:, 3:], 1.0)
+    end = _solve(data, data.points, _usable(kept).astype(float), start.cameras, start.lenses, places, loss_px)
+    found, lenses = np.asarray(end.cameras)[:cameras], np.asarray(end.lenses)[:cameras]
+    return finished(data, found, np.asarray(end.points), lenses, kept, float(end.cost))
 
 
 def _usable(kept: np.ndarray) -> np.ndarray:
     return kept & (kept.sum(axis=1) >= 2)[:, None]
 
 
-def _problem(data, pixels, weights, projections, lenses, points, loss_px=None) -> tuple[Problem, Unknowns]:
-    """Blocks padded to one of few rig sizes: the adjustment with this loss, or without one the factorisation.
-
-    In the adjustment the lens parameters are free, drawn to where they start.
-    """
-    cameras = len(projections)
-    pad = padded_cameras(cameras) - cameras
+def _solve(data, pixels, weights, cameras, lenses, places, loss_px: float | None = None) -> Factors:
+    """The adjustment with this loss, or without one the factorisation; rigs are padded to one of few sizes."""
+    pad = padded_cameras(len(cameras)) - len(cameras)
 
     def widened(array, axis):
         return np.pad(array, [(0, pad if i == axis else 0) for i in range(array.ndim)])
 
-    adjusting = loss_px is not None
-    numbers = widened(np.concatenate([projections.reshape(cameras, 12), lenses[:, None]], axis=1), 0)
-    free = np.zeros(numbers.shape, bool)
-    free[:cameras, : 13 if adjusting else 12] = True
-    weight = np.zeros(numbers.shape)
-    weight[:cameras, 12] = 1.0 / LENS_SIGMA**2 if adjusting else 0.0
-    flags = np.full(cameras + pad, 0.0 if adjusting else 1.0)
-    problem = Problem(
-        jnp.asarray(to_blocks(widened(pixels, 1))),
-        jnp.asarray(to_blocks(widened(weights, 1))),
-        (jnp.asarray(widened(data.half_diagonals, 0)), jnp.asarray(flags)),
-        jnp.asarray(free),
-        jnp.asarray(numbers),
-        jnp.asarray(weight),
-        jnp.asarray(float(loss_px if adjusting else LEAST_SQUARES)),
-        jnp.asarray(100),
-    )
-    return problem, Unknowns(jnp.asarray(numbers), jnp.asarray(to_blocks(points, BLOCK)))
+    flags = np.full(len(cameras) + pad, 1.0 if loss_px is None else 0.0)
+    loss = np.float64(LEAST_SQUARES if loss_px is None else loss_px)
+    parts = widened(cameras, 0), widened(lenses, 0), places, widened(data.half_diagonals, 0)
+    return _program(widened(pixels, 1), widened(weights, 1), *parts, flags, loss)
+
+
+_program = jit(fit_projective)  # one for both stages, and for every loss
 
 
 def finished(data, cameras, points, lenses, kept, cost) -> Projective:

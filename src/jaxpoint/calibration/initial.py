@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jaxpoint.calibration.factorization import Projective, factorise, refine
+from jaxpoint.calibration.factorization import Projective, factorise_tracks, refine
 from jaxpoint.calibration.hypotheses import Lenses, chained, upgraded
 from jaxpoint.calibration.outliers import FIRST_LOSS_PX, robust_cost
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
@@ -99,7 +99,7 @@ def _without_held_bends(state: RigState, freedom: Freedom) -> RigState:
 def _factorisation(inputs: Inputs) -> tuple[list[RigState], list[Stage]]:
     """Rank-4 factorisation under a mask from random starts, projective adjustment, Euclidean upgrade."""
     rng = np.random.default_rng(inputs.seed)
-    tries = [factorise(inputs.data, inputs.geometry.lenses, inputs.kept, rng) for _ in range(RANDOM_STARTS)]
+    tries = [factorise_tracks(inputs.data, inputs.geometry.lenses, inputs.kept, rng) for _ in range(RANDOM_STARTS)]
     best = min(tries, key=lambda start: start.cost if np.isfinite(start.cost) else np.inf)
     return _euclidean(inputs, "Factorisation", best, {"start_costs": [start.cost for start in tries]})
 

@@ -76,6 +76,9 @@ class Calibration:
     With `time_offsets`, `tracks` are not as recorded: every observation stands where its camera saw the light at the
     row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is aligned (`unit`
     is then "m").
+
+    Not a pytree: it is the record of a finished solve, in numpy on the host, with verdicts, words and settings that no
+    program could take. Its `rig` and `tracks` are pytrees; derivatives of a calibration come from `chain_of`.
     """
 
     rig: CameraRig

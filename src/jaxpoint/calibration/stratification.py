@@ -10,10 +10,13 @@ from __future__ import annotations
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import lineax as lx
 import optimistix as optx
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit_once
+from jaxpoint.geometry.linalg import null_vector
+from jaxpoint.geometry.rotation import nearest_rotation
 
 FOCALS = (0.2, 4.0)  # in half diagonals: 160 to 20 degrees of view along the diagonal
 GRID = 30
@@ -123,8 +126,7 @@ def focal_grid(views: Views, first, second) -> Float[Array, "K 4 3"]:
 def _completed(projection: Float[Array, "3 4"]) -> Float[Array, "4 4"]:
     """H with P H = [I | 0]."""
     inverse = projection.T @ jnp.linalg.inv(projection @ projection.T)
-    null = jnp.linalg.svd(projection)[2][3]
-    return jnp.concatenate([inverse, null[:, None]], axis=1)
+    return jnp.concatenate([inverse, null_vector(projection)[:, None]], axis=1)
 
 
 def _root_of_focals(relative: Float[Array, "3 4"], focal_a, focal_b) -> Float[Array, "4 3"]:
@@ -145,10 +147,14 @@ def _root_of_focals(relative: Float[Array, "3 4"], focal_a, focal_b) -> Float[Ar
 
 
 def refine(root: Float[Array, "4 3"], views: Views) -> tuple[Float[Array, "4 3"], Float[Array, ""]]:
-    """Levenberg-Marquardt on the root; returns it with its cost (sum of squared standard deviations)."""
+    """Levenberg-Marquardt on the root; returns it with its cost (sum of squared standard deviations).
+
+    A root may turn and scale without a change of the residuals; its derivative has no part of that.
+    """
     root = root / jnp.maximum(jnp.linalg.norm(root), 1e-12)
     solver = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
-    solution = optx.least_squares(_lens_residuals, solver, root, args=views, max_steps=64, throw=False)
+    adjoint = optx.ImplicitAdjoint(lx.SVD(rcond=1e-9))
+    solution = optx.least_squares(_lens_residuals, solver, root, args=views, max_steps=64, throw=False, adjoint=adjoint)
     cost = (_lens_residuals(solution.value, views) ** 2).sum()
     return solution.value, jnp.where(jnp.isfinite(cost), cost, HUGE**2)
 
@@ -188,7 +194,7 @@ def upgrade(
     Scaling each P so that det R = +1 leaves one sign, that of all depths together; it is chosen so that most points
     lie in front. A mirrored rig would need det R = -1, so it cannot come out.
     """
-    infinite = jnp.linalg.svd(root.T)[2][3]
+    infinite = null_vector(root.T)
     frame = jnp.concatenate([root, infinite[:, None] * jnp.linalg.norm(root)], axis=1)
     cameras = jnp.einsum("cij,jk->cik", views.projections, frame)
     cameras = cameras * jnp.sign(jnp.linalg.det(cameras[:, :, :3]))[:, None, None]
@@ -203,8 +209,7 @@ def upgrade(
         [unit[:, :2] - center[:, :, None] * unit[:, 2:], focal[:, None, None] * unit[:, 2:]], axis=1
     )
     local = upper / focal[:, None, None]
-    u, _, vt = jnp.linalg.svd(jnp.where(views.exists[:, None, None], local[:, :, :3], jnp.eye(3)[None]))
-    rotation = jnp.einsum("cij,cjk->cik", u, vt)
+    rotation = jax.vmap(nearest_rotation)(jnp.where(views.exists[:, None, None], local[:, :, :3], jnp.eye(3)[None]))
     world = points @ jnp.linalg.inv(frame).T
     weight = jnp.where(jnp.abs(world[:, 3]) < 1e-12, 1e-12, world[:, 3])
     world = world[:, :3] / weight[:, None]

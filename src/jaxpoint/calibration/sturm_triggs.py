@@ -16,6 +16,7 @@ from jaxpoint.calibration.factorization import Projective, finished
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, fundamental
 from jaxpoint.epipolar import lift
 from jaxpoint.geometry.arrays import AnyArray
+from jaxpoint.geometry.linalg import smallest_vectors, span_projector
 
 TUPLES = 1024  # quadruples of frames whose common subspace is sought
 
@@ -92,28 +93,29 @@ def fill_rank_four(
 
     Four frames span the column space where all four are known; what is orthogonal to that span there is orthogonal
     to the cameras. The cameras are the four directions least covered by all those complements together, the points
-    a least-squares fit to the known entries.
+    a least-squares fit to the known entries. Pure: for jit, vmap and grad; hidden entries have the derivative 0.
     """
     cameras = measurements.shape[1]
     scaled = jnp.where(known[..., None], measurements, 0.0)
-    size = jnp.sqrt((scaled**2).sum(axis=(1, 2)))
-    scaled = scaled / jnp.where(size > 0, size, 1.0)[:, None, None]
+    square = (scaled**2).sum(axis=(1, 2))
+    scaled = scaled / jnp.sqrt(jnp.where(square > 0, square, 1.0))[:, None, None]
 
     def complement(total, index):
         common = jnp.repeat(known[index].all(axis=0), 3)
         span = jnp.where(common[:, None], scaled[index].reshape(4, -1).T, 0.0)
-        basis, values, _ = jnp.linalg.svd(span, full_matrices=False)
+        values = jnp.linalg.svd(jax.lax.stop_gradient(span), compute_uv=False)
         usable = (common.sum() >= 6) & (values[3] > 1e-4 * values[0])
-        part = jnp.diag(common.astype(span.dtype)) - basis @ basis.T
+        safe = jnp.where(usable, span, jnp.eye(*span.shape, dtype=span.dtype))
+        part = jnp.diag(common.astype(span.dtype)) - span_projector(safe)
         return total + jnp.where(usable, part, 0.0), None
 
     total, _ = jax.lax.scan(complement, jnp.zeros((3 * cameras, 3 * cameras), scaled.dtype), tuples)
-    motion = jnp.linalg.eigh(total)[1][:, :4].reshape(cameras, 3, 4)
+    motion = smallest_vectors(total, 4).reshape(cameras, 3, 4)
 
     def place(row, seen):
         weight = jnp.repeat(seen, 3)[:, None]
         design = jnp.where(weight, motion.reshape(-1, 4), 0.0)
-        normal = design.T @ design + 1e-12 * jnp.eye(4)
+        normal = design.T @ design + 1e-12 * jnp.eye(4, dtype=row.dtype)
         return jnp.linalg.solve(normal, design.T @ row.reshape(-1))
 
     return motion, jax.vmap(place)(scaled, known)

@@ -49,7 +49,7 @@ def _run(task, recording, data, choice: str) -> None:
 def _first_solution(recording: Recording, data: NormalisedTracks, choice: str) -> None:
     nothing = np.zeros(data.visible.shape, bool)
     lenses = np.zeros(recording.cameras)
-    start = factorization.factorise(data, lenses, nothing, np.random.default_rng(0))
+    start = factorization.factorise_tracks(data, lenses, nothing, np.random.default_rng(0))
     factorization.refine(data, start, nothing, 1.0)
     hypotheses.compile_upgrade(recording, data)
 

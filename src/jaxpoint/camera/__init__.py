@@ -1,1 +1,5 @@
 """How a point of the room becomes a pixel."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.geometry import rotation as so3
-from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint, stack_last
 from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.pose import Pose
 
@@ -23,6 +23,8 @@ class Camera(eqx.Module):
 
     lens: AbstractLens
     cam_from_world: Pose
+
+    __hash__ = hash_or_hint
 
     @property
     def focal(self) -> Float[Array, "*batch 2"]:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxpoint.compilation import jit_once
-from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm, stack_last
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint, safe_norm, stack_last
 
 Parameters: TypeAlias = Any  # p arrays, or one with p entries on its first axis, that broadcast with the directions
 Vector: TypeAlias = tuple[Any, ...]  # x, y, z
@@ -54,6 +54,8 @@ class AbstractLens(eqx.Module):
     coefficients: eqx.AbstractClassVar[tuple[Coefficient, ...]]
     choices: eqx.AbstractClassVar[Mapping[str, tuple[str, ...]]]  # setting -> the coefficients that are free under it
     sees_sideways: eqx.AbstractClassVar[bool]  # whether directions at 90 degrees to the axis and more have pixels
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     @abc.abstractmethod

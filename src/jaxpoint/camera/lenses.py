@@ -12,7 +12,7 @@ from jaxpoint.errors import UsageError
 LENSES: dict[str, type[AbstractLens]] = {lens.name: lens for lens in (Brown, Pinhole, Rational, KannalaBrandt)}
 
 
-def register(lens: type[AbstractLens]) -> None:
+def register_lens(lens: type[AbstractLens]) -> None:
     """Make a lens known by its name and by the settings that it offers.
 
     Raises:

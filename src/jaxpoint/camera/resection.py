@@ -6,13 +6,12 @@ It replaces the thesis's eq. 2.9, which needs projective depths that nobody know
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, Float
+from jax.core import Tracer
+from jaxtyping import Array, Bool, Float
 
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
@@ -26,14 +25,19 @@ MIN_POINTS = 6
 _LENS_TERMS = {0: (), 1: (0,), 2: (0, 1), 5: (0, 1, 2, 3, 4)}  # which of k1, k2, p1, p2, k3 are free
 
 
-@dataclass(frozen=True)
-class Resection:
+class Resection(eqx.Module):
     """A camera and how well it explains the points."""
 
     camera: Camera
-    rms_px: float  # of the lengths of the residuals
-    converged: bool
-    message: str
+    rms_px: Float[Array, ""]  # of the lengths of the residuals
+    converged: Bool[Array, ""]
+    refined: bool = eqx.field(static=True)
+
+    @property
+    def message(self) -> str:
+        """Why the solver stopped, in words."""
+        stopped = "converged" if self.converged else "the step limit was reached"
+        return stopped if self.refined else "linear solution"
 
 
 def resect(
@@ -44,6 +48,8 @@ def resect(
     refine: bool = True,
 ) -> Resection:
     """The camera that sees `points` (m) at `pixels` (px), from six or more points that are not on one plane.
+
+    `resection` without the checks is for `jit`, `vmap` and `grad`; values that JAX traces are handed to it.
 
     Args:
         points: in the world, m.
@@ -65,15 +71,28 @@ def resect(
         raise ValueError(f"`lens_terms` is 0, 1, 2 or 5, and 0 without `refine`; not {lens_terms}.")
     if len(points) < MIN_POINTS:
         raise InsufficientDataError(f"Resection needs {MIN_POINTS} points, not {len(points)}; measure more of them.")
-    _check_points(np.asarray(points), np.asarray(pixels))
-    camera, depths, singular_values = _linear_camera(points, pixels)
-    _check_solution(np.asarray(depths), np.asarray(singular_values))
-    converged, message = True, "linear solution"
+    if not any(isinstance(values, Tracer) for values in (points, pixels)):
+        _check_points(np.asarray(points), np.asarray(pixels))
+        _, depths, singular_values = _linear_camera(points, pixels)
+        _check_solution(np.asarray(depths), np.asarray(singular_values))
+    return resection(points, pixels, lens_terms=lens_terms, refine=refine)
+
+
+@eqx.filter_jit
+def resection(
+    points: Float[AnyArray, "N 3"], pixels: Float[AnyArray, "N 2"], *, lens_terms: int = 0, refine: bool = True
+) -> Resection:
+    """`resect` as a pure function: of points that do not determine a camera it gives one that means nothing.
+
+    Its derivatives are those of the optimum where it refines. Arguments as of `resect`.
+    """
+    x, u = promote(points, pixels)
+    camera, _, _ = _linear_camera(x, u)
+    converged = jnp.asarray(True)
     if refine:
-        camera, success = _refine(camera, points, pixels, lens_terms)
-        converged = bool(success)
-        message = "converged" if converged else "the step limit was reached"
-    return Resection(camera, float(_rms(camera, points, pixels)), converged, message)
+        camera, converged = _refine(camera, x, u, lens_terms)
+    rms2 = jnp.mean(jnp.sum((camera.project(x) - u) ** 2, axis=1))
+    return Resection(camera, jnp.sqrt(rms2), converged, refine)
 
 
 def projection_from_points(
@@ -159,11 +178,6 @@ def _linear_camera(
     camera = Camera(Brown.of(jnp.diagonal(intrinsics)[:2], intrinsics[:2, 2]), pose)
     rows, _, _ = _rows(points, pixels, jnp.ones_like(points[:, 0]))
     return camera, camera.depth(points), jnp.linalg.svd(rows, compute_uv=False)
-
-
-@eqx.filter_jit
-def _rms(camera: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N 2"]) -> Float[Array, ""]:
-    return jnp.sqrt(jnp.mean(jnp.sum((camera.project(points) - pixels) ** 2, axis=1)))
 
 
 @eqx.filter_jit

@@ -14,7 +14,7 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.geometry.line import Ray
 from jaxpoint.geometry.pose import Pose, Similarity
 
@@ -30,6 +30,8 @@ class CameraRig(eqx.Module):
     image_sizes: Int[Array, "C 2"]  # px, width and height
     names: tuple[str, ...] = eqx.field(static=True)
     reach: Float[Array, " C"] | None = None  # px from the principal point, where the lens models end; None: nowhere
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def from_parameters(

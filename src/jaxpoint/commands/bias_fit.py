@@ -52,17 +52,17 @@ class BiasFit(Options):
         """Write the bias to `--out`."""
         from jaxpoint.io.bias import read_bias, write_bias
         from jaxpoint.io.pointings import read_pointings
-        from jaxpoint.pointing.bias.fit import fit, fit_personal
+        from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias
 
         out = self.needed_file("bias.toml")
         if self.shared is not None and (self.lines or self.model != "constant"):
             raise UsageError("With --shared, model and lines are those of the shared bias; leave out --model, --lines.")
         pointings, source = read_pointings(self.pointings), self.pointings.name
         if self.shared is not None:
-            bias = fit_personal(read_bias(self.shared), pointings, source=source)
+            bias = fit_personal_bias(read_bias(self.shared), pointings, source=source)
         else:
             chosen = pointings.of_lines(self.lines) if self.lines else pointings
-            bias = fit(self.model, chosen, loss_deg=self.loss_deg, source=source)
+            bias = fit_bias(self.model, chosen, loss_deg=self.loss_deg, source=source)
         write_bias(out, bias)
         figures = {"bias": str(out), "lines": list(bias.lines), **asdict(bias.fitted)}
         return Outcome(figures, (*_lines(bias), f"Bias: {out}"))

@@ -1,1 +1,5 @@
 """Three-dimensional geometry that knows no camera."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

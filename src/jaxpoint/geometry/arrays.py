@@ -69,3 +69,16 @@ def safe_norm(vectors: Float[Array, "*batch n"]) -> Float[Array, "*batch"]:
     squared = jnp.sum(vectors**2, axis=-1)
     positive = squared > 0
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, squared, 1.0)), 0.0)
+
+
+def hash_or_hint(self: Any) -> int:
+    """The `__hash__` of classes with methods that users compile: arrays have none, and `jax.jit(x.method)` asks for it.
+
+    Raises:
+        TypeError: always, saying how such a method is compiled.
+    """
+    name = type(self).__name__
+    raise TypeError(
+        f"A {name} holds arrays, which have no hash, so `jax.jit` cannot take its methods as they are; write "
+        f"`equinox.filter_jit(x.method)`, or `jax.jit(lambda x, y: x.method(y))` with the {name} as an argument."
+    )

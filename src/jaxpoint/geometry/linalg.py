@@ -1,8 +1,9 @@
-"""Null vectors with safe derivatives, many small symmetric matrices at once, and one large one."""
+"""Null vectors and spans with safe derivatives, many small symmetric matrices at once, and one large one."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TypeAlias
 
 import jax
@@ -38,6 +39,33 @@ def _null_vector_jvp(primals: tuple[Array], tangents: tuple[Array]) -> tuple[Arr
     # Along the vector itself the shifted Gram matrix is singular: any positive value of its own size will do there.
     shifted = gram - smallest * jnp.eye(gram.shape[0], dtype=gram.dtype) + jnp.trace(gram) * projector
     return vector, -jnp.linalg.solve(shifted, free)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def smallest_vectors(matrix: Float[Array, "n n"], count: int) -> Float[Array, "n count"]:
+    """Unit eigenvectors of a symmetric matrix for its `count` smallest eigenvalues, in ascending order.
+
+    The derivative needs a gap above these eigenvalues alone: where two of them coincide, their vectors are any basis
+    of their plane, and the derivative leaves out a turn within it. JAX's own rule for `eigh` is NaN there.
+    """
+    return jnp.linalg.eigh(matrix)[1][:, :count]
+
+
+@smallest_vectors.defjvp
+def _smallest_vectors_jvp(count: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (matrix,), (change,) = primals, tangents
+    values, vectors = jnp.linalg.eigh(matrix)
+    found = vectors[:, :count]
+    gaps = values[None, :count] - values[:, None]
+    apart = jnp.abs(gaps) > len(values) * jnp.finfo(values.dtype).eps * jnp.max(jnp.abs(values))
+    turn = vectors.T @ ((change + change.T) / 2) @ found
+    return found, vectors @ jnp.where(apart, turn / jnp.where(apart, gaps, 1.0), 0.0)
+
+
+def span_projector(basis: Float[Array, "n m"]) -> Float[Array, "n n"]:
+    """The projector onto the span of m independent columns; its derivative knows no order or scale among them."""
+    orthogonal = jnp.linalg.qr(basis)[0]
+    return orthogonal @ orthogonal.T
 
 
 def symmetric_inverse(matrix: Symmetric) -> Symmetric:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, as_float, safe_norm
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint, safe_norm
 
 _PARALLEL = 1e-9  # sine of the angle below which two lines count as parallel
 
@@ -19,6 +19,8 @@ class Ray(eqx.Module):
 
     origin: Float[Array, "*batch 3"] = eqx.field(converter=as_float)  # m
     direction: Float[Array, "*batch 3"] = eqx.field(converter=as_float)  # unit length
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def through(start: Float[AnyArray, "*batch 3"], target: Float[AnyArray, "*batch 3"]) -> Ray:

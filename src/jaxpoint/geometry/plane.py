@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.geometry.linalg import null_vector
 from jaxpoint.geometry.line import Ray, normalised
 
@@ -16,6 +16,8 @@ class Plane(eqx.Module):
 
     normal: Float[Array, "3"] = eqx.field(converter=as_float)  # unit length
     offset: Float[Array, ""] = eqx.field(converter=as_float)  # m
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def through(points: Float[AnyArray, "3 3"]) -> Plane:

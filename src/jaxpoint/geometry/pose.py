@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.geometry import rotation as so3
-from jaxpoint.geometry.arrays import AnyArray, as_float, stack_last
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint, stack_last
 
 
 class Pose(eqx.Module):
@@ -22,6 +22,8 @@ class Pose(eqx.Module):
 
     rotation: Float[Array, "3 3"] = eqx.field(converter=as_float)
     translation: Float[Array, "3"] = eqx.field(converter=as_float)
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def identity() -> Pose:
@@ -64,6 +66,8 @@ class Similarity(eqx.Module):
     scale: Float[Array, ""] = eqx.field(converter=as_float)
     rotation: Float[Array, "3 3"] = eqx.field(converter=as_float)
     translation: Float[Array, "3"] = eqx.field(converter=as_float)
+
+    __hash__ = hash_or_hint
 
     @staticmethod
     def identity() -> Similarity:

@@ -1,1 +1,5 @@
 """Files to the types of jaxpoint and back."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

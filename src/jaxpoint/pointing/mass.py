@@ -10,7 +10,7 @@ it, r^2 = h^2 + s^2, S(r) the probability of an error larger than r):
     mass = 1 / 2 pi  sum of  integral of  h (1 - S(r)) / r^2  ds
 
 The integrand is smooth. For the Gaussian, S = exp(-r^2 / 2), by Gauss-Legendre where S matters; for Student's t with
-an even number of degrees of freedom, S = (1 + r^2 / nu)^(-nu/2), in closed form.
+nu degrees of freedom, a whole number, S = (1 + r^2 / nu)^(-nu/2), in closed form.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class View(eqx.Module):
 
         Args:
             spread: covariance of the direction on top of the line's own, to its left and up, rad^2.
-            freedom: None for a Gaussian; the degrees of freedom of Student's t with that scale.
+            freedom: None for a Gaussian; degrees of freedom (1, 2, 3, ...) of Student's t with that scale.
         """
         base = across(line.ray.direction)
         both = jnp.einsum("ij,ajbk,lk->aibl", base, line.covariance.reshape(2, 3, 2, 3), base)
@@ -150,18 +150,28 @@ def _gaussian_edge(h: Array, a: Array, b: Array) -> Array:
 
 
 def _student_edge(h: Array, a: Array, b: Array, freedom: int) -> Array:
-    """The same for Student's t: (1 - S) / r^2 is the sum over j of nu^(j-1) / (nu + r^2)^j up to half of nu."""
+    """The same for Student's t, by the integral over each term of (1 - S) / r^2.
+
+    With q = nu / (nu + r^2), S = q^(nu/2). Of an even nu (1 - S) / r^2 is the sum over j of nu^(j-1) / (nu + r^2)^j up
+    to half of nu; of an odd one it is (1 - sqrt q) / r^2 and sqrt q times that sum up to half of nu - 1. The first term
+    of the odd ones and what is subtended are the angle under which the edge of a gnomonic image is seen.
+    """
     square = h**2 + freedom
-    root = jnp.sqrt(square)
-    integral = angle((b - a) * root, square + a * b) / root  # of 1 / (nu + r^2)
     at_a, at_b = 1 / (square + a**2), 1 / (square + b**2)
-    flux, factor, power_a, power_b = integral, 1.0, a * at_a, b * at_b
-    for j in range(1, freedom // 2):
-        integral = (power_b - power_a + (2 * j - 1) * integral) / (2 * j * square)
+    if freedom % 2:
+        power_a, power_b = a * jnp.sqrt(freedom * at_a), b * jnp.sqrt(freedom * at_b)
+        flux, term, factor, outer = jnp.zeros_like(h), 0.0, 1 / freedom, _subtended(h, power_a, power_b)
+    else:
+        root = jnp.sqrt(square)
+        power_a, power_b = a * at_a, b * at_b
+        flux = term = angle((b - a) * root, square + a * b) / root  # of 1 / (nu + r^2)
+        factor, outer = 1.0, _subtended(h, a, b)
+    for power in range(2 - freedom % 2, freedom - 1, 2):  # twice that of 1 / (nu + r^2)
+        term = (power_b - power_a + (power - 1) * term) / (power * square)
         factor *= freedom
-        flux += factor * integral
+        flux += factor * term
         power_a, power_b = power_a * at_a, power_b * at_b
-    return h * flux - _subtended(h, a, b)
+    return h * flux - outer
 
 
 def _subtended(h: Array, a: Array, b: Array) -> Array:

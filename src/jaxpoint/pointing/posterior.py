@@ -15,7 +15,7 @@ middle. Without it a small object before or on a large one takes nearly all line
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
@@ -25,6 +25,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit
+from jaxpoint.devices import on_cpu
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import nearest_first
@@ -48,7 +49,7 @@ class Behaviour(eqx.Module):
 
     sigma_azimuth: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad, level
     sigma_elevation: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=np.deg2rad(4.0))  # rad
-    freedom: int | None = eqx.field(static=True, default=4)  # of Student's t, even; None: Gaussian
+    freedom: int | None = eqx.field(static=True, default=4)  # of Student's t, 1 or more; None: Gaussian
     nothing: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.1)  # prior that no object is meant
     hidden: Float[Array, "*#batch"] = eqx.field(converter=as_float, default=0.3)  # weight of what another object hides
     prior: Literal["equal", "size"] = eqx.field(static=True, default="equal")
@@ -57,6 +58,11 @@ class Behaviour(eqx.Module):
     def __check_init__(self) -> None:
         if not 0 < self.aimed <= 1:
             raise ValueError(f"People aim at a share of an object's size, so `aimed` lies in 0..1; it is {self.aimed}.")
+        if self.freedom is not None and (self.freedom != int(self.freedom) or self.freedom < 1):
+            raise ValueError(
+                f"Student's t has 1, 2, 3, ... degrees of freedom here, so `freedom` cannot be {self.freedom:g}; "
+                "give a whole number, or None for a Gaussian."
+            )
 
     @property
     def spread(self) -> Float[Array, "2 2"]:
@@ -109,14 +115,15 @@ def posterior(
         weights = jnp.broadcast_to(as_float(prior) / jnp.sum(as_float(prior)), weights.shape)
     if evidence is not None:
         weights = weights * jnp.broadcast_to(as_float(evidence), weights.shape)
-    behaviour = jax.tree.map(lambda leaf: _of_each(leaf, batch), behaviour)
+    xp = np if on_cpu(lines, behaviour) else jnp  # for a few lines numpy is quicker, but it lives on the host
+    behaviour = jax.tree.map(lambda leaf: _of_each(leaf, batch, xp), behaviour)
     ask = partial(_posterior, objects.shapes)
     return over_lines(ask, lines.ray.origin, lines.ray.direction, lines.covariance, weights, behaviour)
 
 
-def _of_each(leaf: AnyArray, batch: tuple[int, ...]) -> AnyArray:
-    """With a line's own in every place; in numpy where it can be, which is quicker for a few lines."""
-    return (jnp if isinstance(leaf, Tracer) else np).broadcast_to(leaf, batch)
+def _of_each(leaf: AnyArray, batch: tuple[int, ...], xp: Any) -> AnyArray:
+    """With a line's own in every place; xp is numpy or jax.numpy."""
+    return (jnp if isinstance(leaf, Tracer) else xp).broadcast_to(leaf, batch)
 
 
 @jit

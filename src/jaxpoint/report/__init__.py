@@ -1,1 +1,5 @@
 """Figures and the one-file HTML report."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

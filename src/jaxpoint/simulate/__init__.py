@@ -1,1 +1,5 @@
 """Rooms and recordings whose truth is known."""
+
+from jaxpoint.lazy import exports
+
+__getattr__, __dir__, __all__ = exports(__name__, __file__)

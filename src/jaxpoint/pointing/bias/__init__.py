@@ -1,5 +1,5 @@
 """How far people's lines of pointing miss what they mean, learnt from known targets and taken back (SPEC 8).
 
-`fit.fit` learns a `bias.Bias` from `pointings.Pointings`, `drawn.drawn` draws lines turned by it, and its `spread` says
-how far corrected lines still lie from what is meant.
+`fit.fit_bias` learns a `bias.Bias` from `pointings.Pointings`, `drawn.drawn` draws lines turned by it, and its `spread`
+says how far corrected lines still lie from what is meant.
 """

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.angles import azimuth_elevation, turned
-from jaxpoint.geometry.arrays import AnyArray, as_float
+from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.pointing.bias.models import AbstractModel
 from jaxpoint.pointing.bias.spread import Spread
 
@@ -39,6 +39,8 @@ class Bias(eqx.Module):
     between: Float[Array, "2 2"] = eqx.field(converter=as_float)  # covariance of people's offsets, rad^2
     within: Spread
     fitted: Fitted = eqx.field(static=True)
+
+    __hash__ = hash_or_hint
 
     def correct(self, directions: Float[AnyArray, "*batch L 3"]) -> Float[Array, "*batch 3"]:
         """The direction of the first line, turned; differentiable, batched over leading axes.

@@ -2,31 +2,27 @@
 
 from __future__ import annotations
 
-from itertools import product
-from typing import Literal, get_args
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
+from jaxpoint.compilation import jit
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.pointing.bias.bias import Bias, Fitted
-from jaxpoint.pointing.bias.models import AbstractModel, Blend, Constant, ConstantElevation, Personal, Polynomial
+from jaxpoint.pointing.bias.learn import KINDS, LOSS_DEG, Kind, Learnt, average, candidates, fit_all, learn_bias
+from jaxpoint.pointing.bias.models import AbstractModel, Personal
 from jaxpoint.pointing.bias.pointings import Pointings
-from jaxpoint.pointing.bias.solve import all_misses, offsets, solve
-from jaxpoint.pointing.bias.spread import Spread, fit_spread
+from jaxpoint.pointing.bias.solve import Observed, offsets, padded, power_of_two
+from jaxpoint.pointing.bias.spread import Spread
 
-Kind = Literal["none", "constant-elevation", "constant", "polynomial", "blend"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
-LOSS_DEG = 1.5
-DEGREE = 2
+__all__ = ["KINDS", "LOSS_DEG", "Kind", "choose", "fit_bias", "fit_personal_bias", "left_out", "refit"]
+
 FEWEST_PEOPLE = 3
 MOST_LINES = 7
-_BETWEEN_FLOOR = np.deg2rad(0.1) ** 2
 
 
-def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, source: str = "") -> Bias:
+def fit_bias(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, source: str = "") -> Bias:
     """The bias of a kind, with the spread that it leaves on people who were not fitted.
 
     A blend may read any of the lines beside the first. Which, is decided on people left out: all choices whose loss
@@ -41,20 +37,19 @@ def fit(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_DEG, 
         InsufficientDataError: fewer than three people, no targets, or a blend without a second line.
     """
     pointings = _checked(kind, pointings)
-    _, model, misses = choose(kind, pointings, loss_deg)
-    between, within = _people(misses, pointings.who)
-    median = float(np.rad2deg(np.median(np.hypot(*misses.T))))
+    learnt = _learn(kind, pointings, loss_deg)
+    median = float(np.rad2deg(np.median(np.hypot(*np.asarray(learnt.misses)[: len(pointings)].T))))
     return Bias(
         pointings.lines,
-        model,
-        fit_spread(misses, np.ones(len(pointings))),
-        between,
-        within,
+        learnt.model,
+        learnt.spread,
+        learnt.between,
+        learnt.within,
         Fitted(source, len(pointings.crowd), len(pointings), _different(pointings), loss_deg, median),
     )
 
 
-def fit_personal(shared: Bias, pointings: Pointings, *, source: str = "") -> Bias:
+def fit_personal_bias(shared: Bias, pointings: Pointings, *, source: str = "") -> Bias:
     """A shared bias with the offset of one person, from a few known targets.
 
     Raises:
@@ -102,20 +97,8 @@ def choose(
         Which candidates are averaged, their average fitted on everybody, and by how much lines so corrected miss on
         people who took no part (rad, to the left and up).
     """
-    candidates, people = _candidates(kind, len(pointings.lines)), len(pointings.crowd)
-    weights = np.ones((people + 1, len(pointings)))  # the last row is everybody
-    weights[pointings.who, np.arange(len(pointings))] = 0.0
-    solved = _all(kind, candidates, pointings, weights, loss_deg)
-    misses = all_misses(solved, pointings).reshape(len(candidates), people + 1, len(pointings), 2)
-    misses = misses[:, pointings.who, np.arange(len(pointings))]
-    scale = np.deg2rad(LOSS_DEG if loss_deg is None else loss_deg)
-    loss = np.log1p(np.sum(misses**2, axis=2) / scale**2)
-    by_person = np.stack([loss[:, pointings.who == person].mean(axis=1) for person in range(people)], axis=1)
-    means = by_person.mean(axis=1)
-    best = np.argmin(means)
-    near = np.flatnonzero(means <= means[best] + by_person[best].std(ddof=1) / np.sqrt(people))
-    everybody = _average(jax.tree.map(lambda leaf: leaf[near * (people + 1) + people], solved))
-    return near, everybody, misses[near].mean(axis=0)
+    learnt = _learn(kind, pointings, loss_deg)
+    return np.flatnonzero(learnt.chosen), learnt.model, np.asarray(learnt.misses)[: len(pointings)]
 
 
 def refit(
@@ -126,9 +109,25 @@ def refit(
     loss_deg: float | None,
 ) -> AbstractModel:
     """N models, each the average of the chosen candidates fitted under one row of weights."""
-    candidates = [_candidates(kind, len(pointings.lines))[i] for i in chosen]
-    solved = _all(kind, candidates, pointings, weights, loss_deg)
-    return _average(jax.tree.map(lambda leaf: leaf.reshape(len(candidates), len(weights), *leaf.shape[1:]), solved))
+    observed = Observed.of(pointings)
+    options = jax.tree.map(lambda leaf: leaf[chosen], candidates(kind, len(pointings.lines)))
+    rows = padded(weights.T, len(observed.level)).T
+    return average(fit_all(kind, options, observed, jnp.asarray(rows), _radians(loss_deg)), np.ones(len(chosen), bool))
+
+
+def _learn(kind: Kind, pointings: Pointings, loss_deg: float | None) -> Learnt:
+    """`learn_bias` with gestures and people padded, so that few programs are compiled."""
+    observed = Observed.of(pointings)
+    size, people = len(observed.level), power_of_two(len(pointings.crowd) + 1, 8) - 1
+    who, there = padded(pointings.who, size).astype(int), padded(np.ones(len(pointings)), size)
+    return _program(kind, observed, who, people, there, _radians(loss_deg))
+
+
+_program = jit(learn_bias, static_argnames=("kind", "people"))
+
+
+def _radians(loss_deg: float | None) -> np.float64 | None:
+    return None if loss_deg is None else np.float64(np.deg2rad(loss_deg))
 
 
 def left_out(
@@ -143,45 +142,9 @@ def left_out(
     directions, biases = np.zeros((len(pointings), 3)), []
     for person in range(len(pointings.crowd)):
         own = pointings.who == person
-        biases.append(fit(kind, pointings.select(~own), loss_deg=loss_deg))
+        biases.append(fit_bias(kind, pointings.select(~own), loss_deg=loss_deg))
         directions[own] = biases[-1].correct(pointings.directions[own])
     return directions, tuple(biases)
-
-
-def _candidates(kind: Kind, lines: int) -> list[AbstractModel]:
-    if kind == "blend":
-        choices = product((False, True), repeat=lines - 1)
-        return [Blend(np.zeros(2), np.zeros((2, lines - 1)), np.array(used, bool)) for used in choices]
-    simple = {
-        "none": Constant(np.zeros(2)),
-        "constant-elevation": ConstantElevation(np.float64(0.0)),
-        "constant": Constant(np.zeros(2)),
-        "polynomial": Polynomial(np.zeros((2, DEGREE + 1))),
-    }
-    return [simple[kind]]
-
-
-def _all(
-    kind: Kind,
-    candidates: list[AbstractModel],
-    pointings: Pointings,
-    weights: Float[np.ndarray, "N G"],
-    loss_deg: float | None,
-) -> AbstractModel:
-    """Every candidate fitted under every row of weights, along one leading axis: candidate by candidate."""
-    models = jax.tree.map(lambda *leaves: jnp.repeat(jnp.stack(leaves), len(weights), axis=0), *candidates)
-    if kind == "none":
-        return models
-    rows = np.tile(weights, (len(candidates), 1))
-    return solve(models, pointings, rows, None if loss_deg is None else float(np.deg2rad(loss_deg)))
-
-
-def _average(models: AbstractModel) -> AbstractModel:
-    """The mean over the leading axis; a line that one blend leaves out has weight 0 there."""
-    if not isinstance(models, Blend):
-        return jax.tree.map(lambda leaf: leaf[0], models)
-    weights = jnp.where(models.used[..., None, :], models.weights, 0.0)
-    return Blend(models.offset.mean(axis=0), weights.mean(axis=0), models.used.any(axis=0))
 
 
 def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> Pointings:
@@ -200,36 +163,6 @@ def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> P
             f"({', '.join(pointings.lines)})."
         )
     return pointings
-
-
-def _people(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> tuple[Float[np.ndarray, "2 2"], Spread]:
-    """Covariance of people's offsets (rad^2), and how each one's gestures scatter about the person's own.
-
-    Scatter is told by each gesture against the median of the same person's others, which errs as well: few gestures
-    hardly tell a middle. By as much the middles err of which people's covariance is made. Where nobody pointed twice,
-    all of the misses are called scatter.
-    """
-    count = np.bincount(who)
-    twice = count[who] > 1
-    if not twice.any():
-        return _BETWEEN_FLOOR * np.eye(2), fit_spread(misses, np.ones(len(who)))
-    others = np.stack([np.median(misses[_others(who, i)], axis=0) for i in np.flatnonzero(twice).tolist()])
-    shrink = np.sqrt(1 - 1 / count[who][twice])[:, None]
-    within = fit_spread(shrink * (misses[twice] - others), np.ones(len(others)))
-    middles = _middles(misses, who)
-    by_scatter = np.asarray(within.scale) * np.mean(1 / count)
-    size, axes = np.linalg.eigh(middles.T @ middles / len(middles) - by_scatter)
-    return (axes * np.maximum(size, _BETWEEN_FLOOR)) @ axes.T, within
-
-
-def _others(who: Int[np.ndarray, " G"], gesture: int) -> Bool[np.ndarray, " G"]:
-    """The other gestures of the same person."""
-    return (who == who[gesture]) & (np.arange(len(who)) != gesture)
-
-
-def _middles(misses: Float[np.ndarray, "G 2"], who: Int[np.ndarray, " G"]) -> Float[np.ndarray, "people 2"]:
-    """Each person's median miss."""
-    return np.stack([np.median(misses[who == person], axis=0) for person in range(who.max() + 1)])
 
 
 def _different(pointings: Pointings) -> int:

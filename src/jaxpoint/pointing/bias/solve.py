@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,6 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
+from jaxpoint.geometry.angles import azimuth_elevation, wrapped
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.pointing.bias.models import AbstractModel
 from jaxpoint.pointing.bias.pointings import Pointings
@@ -27,17 +28,24 @@ _UNIT = np.deg2rad(1.5)  # of a miss beside a number's distance from what it is 
 
 
 class Observed(eqx.Module):
-    """Gestures as the solver takes them, padded to a power of two so that few programs are compiled."""
+    """Gestures as the solver takes them."""
 
     angles: Float[Array, "G L 2"] = eqx.field(converter=as_float)  # rad
     errors: Float[Array, "G 2"] = eqx.field(converter=as_float)  # rad, of the first line, as it was drawn
     level: Float[Array, " G"] = eqx.field(converter=as_float)  # by how much an error of azimuth counts
 
     @staticmethod
+    def at_targets(directions: Float[AnyArray, "G L 3"], to_targets: Float[AnyArray, "G 3"]) -> Observed:
+        """Lines of any length, and the directions from the first line's origin to its target."""
+        angles, meant = azimuth_elevation(directions), azimuth_elevation(to_targets)
+        left, up = jnp.moveaxis(angles[:, 0] - meant, -1, 0)
+        return Observed(angles, jnp.stack([wrapped(left), up], axis=-1), jnp.cos(meant[:, 1]))
+
+    @staticmethod
     def of(pointings: Pointings) -> Observed:
-        """Pointings with targets."""
-        size = _power_of_two(len(pointings), 64)
-        return Observed(*(_padded(x, size) for x in (pointings.angles, pointings.errors, pointings.level)))
+        """Pointings with targets, padded."""
+        size = power_of_two(len(pointings), 64)
+        return Observed(*(padded(x, size) for x in (pointings.angles, pointings.errors, pointings.level)))
 
     def misses(self, model: AbstractModel) -> Float[Array, "G 2"]:
         """By how much corrected lines point to the left of their targets and above, rad."""
@@ -46,9 +54,7 @@ class Observed(eqx.Module):
 
 
 def solve(models: Model, pointings: Pointings, weights: Float[np.ndarray, "N G"], loss_rad: float | None) -> Model:
-    """N fits of a model, one for each row of weights.
-
-    Minimises a Cauchy loss of the angles by which lines miss their targets, to the left and up.
+    """`fit_models` of pointings, padded so that few programs are compiled.
 
     Args:
         models: where to start, with a leading axis N on all leaves.
@@ -57,16 +63,11 @@ def solve(models: Model, pointings: Pointings, weights: Float[np.ndarray, "N G"]
         loss_rad: scale of the loss; None: least squares.
     """
     rows, observed = len(weights), Observed.of(pointings)
-    more = _power_of_two(rows, 8) - rows
+    more = power_of_two(rows, 8) - rows
     models = jax.tree.map(lambda leaf: jnp.concatenate([leaf, *[leaf[:1]] * more]), models)
-    chosen = _padded(_padded(weights.T, len(observed.level)).T, rows + more)
+    chosen = padded(padded(weights.T, len(observed.level)).T, rows + more)
     scale = np.float64(LEAST_SQUARES if loss_rad is None else loss_rad)
-    return jax.tree.map(lambda leaf: leaf[:rows], _solve(models, observed, chosen, scale))
-
-
-def all_misses(models: AbstractModel, pointings: Pointings) -> Float[np.ndarray, "N G 2"]:
-    """By how much lines corrected by each of N models point to the left of their targets and above, rad."""
-    return np.asarray(_misses(models, Observed.of(pointings)))[:, : len(pointings)]
+    return jax.tree.map(lambda leaf: leaf[:rows], fit_models(models, observed, chosen, scale))
 
 
 def offsets(
@@ -82,7 +83,7 @@ def offsets(
     far as they are worth.
     """
     rows, observed = len(weights), Observed.of(pointings)
-    chosen = _padded(_padded(weights.T, len(observed.level)).T, _power_of_two(rows, 1))
+    chosen = padded(padded(weights.T, len(observed.level)).T, power_of_two(rows, 1))
     return np.asarray(_offsets(model, observed, chosen, jnp.asarray(between), within))[:rows]
 
 
@@ -95,13 +96,23 @@ def cauchy(vectors: Float[Array, "*batch 2"], scale: Float[Array, ""]) -> Float[
 
 
 @jit
-def _solve(models: AbstractModel, observed: Observed, weights: Array, scale: Array) -> AbstractModel:
-    def one(model: AbstractModel, weights: Array) -> AbstractModel:
+def fit_models(models: Model, observed: Observed, weights: Float[Array, "N G"], loss_rad: Float[Array, ""]) -> Model:
+    """N fits of a model, one for each row of weights: pure, for `jit`, `vmap` and `grad`.
+
+    Minimises a Cauchy loss of the angles by which lines miss their targets, to the left and up.
+
+    Args:
+        models: where to start, with a leading axis N on all leaves.
+        weights: of each gesture in each fit; 0 leaves it out.
+        loss_rad: scale of the loss; `LEAST_SQUARES` for a sum of squares.
+    """
+
+    def one(model: Model, weights: Array) -> Any:
         numbers, rest = eqx.partition(model, eqx.is_inexact_array)
 
         def residuals(numbers: AbstractModel, width: Array) -> tuple[Array, Array]:
             own = eqx.combine(numbers, rest)
-            misses = cauchy(observed.misses(own), width * scale)
+            misses = cauchy(observed.misses(own), width * loss_rad)
             return jnp.sqrt(weights)[:, None] * misses / _UNIT, own.prior()
 
         solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5, linear_solver=lx.Normal(lx.Cholesky()))
@@ -110,14 +121,9 @@ def _solve(models: AbstractModel, observed: Observed, weights: Array, scale: Arr
             found = optx.least_squares(residuals, solver, numbers, args=width, max_steps=_STEPS, throw=False)
             return found.value, None
 
-        return eqx.combine(jax.lax.scan(narrower, numbers, jnp.asarray(_NARROWING, scale.dtype))[0], rest)
+        return eqx.combine(jax.lax.scan(narrower, numbers, jnp.asarray(_NARROWING, loss_rad.dtype))[0], rest)
 
     return jax.vmap(one)(models, weights)
-
-
-@jit
-def _misses(models: AbstractModel, observed: Observed) -> Array:
-    return jax.vmap(observed.misses)(models)
 
 
 @jit
@@ -139,9 +145,11 @@ def _offsets(model: AbstractModel, observed: Observed, weights: Array, between: 
     return jax.vmap(one)(weights)
 
 
-def _power_of_two(count: int, least: int) -> int:
+def power_of_two(count: int, least: int) -> int:
+    """The smallest one that is neither below `count` nor below `least`."""
     return max(least, 1 << max(count - 1, 0).bit_length())
 
 
-def _padded(values: np.ndarray, size: int) -> np.ndarray:
+def padded(values: np.ndarray, size: int) -> np.ndarray:
+    """With zeros at the end, `size` rows."""
     return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]))])

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.arrays import AnyArray, as_float
 
-FREEDOMS = (2, 4, 6, 8, 12, 20)  # even: only of these has the mass over a polygon a closed form
+FREEDOMS = (2, 4, 6, 8, 12, 20)  # that are compared: from very long tails to nearly a Gaussian
 _STEPS = 60
 _FLOOR = 1e-10  # rad^2
 
