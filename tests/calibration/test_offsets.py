@@ -100,8 +100,8 @@ def test_the_sigmas_are_those_of_the_dense_normal_equations(solved, state_of):
     observed = np.concatenate([clock.pixels, clock.velocity, clock.acceleration], axis=-1)[used]
 
     def residuals(cameras, points):
-        moved = timing.MODEL.state(start.cameras.at[free].add(cameras), problem.constants)
-        each = jax.vmap(jax.vmap(timing.MODEL.residual, (0, None, None, 0)), (None, None, 0, 0))
+        moved = timing.OffsetModel().state(start.cameras.at[free].add(cameras), problem.constants)
+        each = jax.vmap(jax.vmap(timing.OffsetModel().residual, (0, None, None, 0)), (None, None, 0, 0))
         return each(moved, jnp.zeros(16), points, jnp.asarray(observed))[seen].reshape(-1)
 
     by_cameras, by_points = jax.jit(jax.jacfwd(residuals, (0, 1)))(jnp.zeros(free.sum()), state.points[used])

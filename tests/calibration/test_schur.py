@@ -248,7 +248,7 @@ def test_another_function_than_the_residuals_of_the_model_is_refused():
         return jax.tree.map(lambda part: 2.0 * part, MODEL.residuals(y, problem))
 
     for other in (doubled, lambda y, problem: y.cameras - problem.prior_mean):
-        with pytest.raises(ValueError, match=r"own model \(BrownModel\) and was given another function; pass"):
+        with pytest.raises(ValueError, match=r"own model \(CameraModel\) and was given another function; pass"):
             optx.least_squares(other, STRUCTURED, start, args=problem)
     same = optx.least_squares(lambda y, problem: MODEL.residuals(y, problem), STRUCTURED, start, args=problem)
     assert same.result == optx.RESULTS.successful
