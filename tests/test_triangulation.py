@@ -11,7 +11,9 @@ from scipy.spatial.transform import Rotation
 
 from jaxpoint import triangulation
 from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.pinhole import Pinhole
+from jaxpoint.camera.rational import Rational
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.triangulation import Flag, Triangulation, triangulate
@@ -296,6 +298,44 @@ def test_other_lenses():
     plain = ring_of_cameras(distorted=False)
     other = eqx.tree_at(lambda rig: rig.cameras.lens, plain, Pinhole(plain.cameras.lens.parameters[:, :4]))
     assert_same(triangulate(other, NOISY, VISIBLE), triangulate(plain, NOISY, VISIBLE))
+    brown = jnp.concatenate([RIG.cameras.lens.parameters, jnp.zeros((CAMERAS, 3))], axis=1)
+    other = eqx.tree_at(lambda rig: rig.cameras.lens, RIG, Rational(brown))
+    assert_same(triangulate(other, NOISY, VISIBLE), triangulate(RIG, NOISY, VISIBLE))
+
+
+def test_fisheyes_that_see_behind_themselves():
+    """Points all around five lenses of more than 180 degrees, most of them beside or behind some camera."""
+    rng = np.random.default_rng(5)
+    count = len(POINTS)
+    lens = KannalaBrandt.of(
+        rng.uniform(280, 320, (CAMERAS, 2)),
+        rng.uniform([620, 340], [660, 380], (CAMERAS, 2)),
+        rng.normal(0, [0.02, 0.004, 1e-3, 1e-4], (CAMERAS, 4)),
+    )
+    rig = eqx.tree_at(lambda rig: rig.cameras.lens, RIG, lens)
+    points = rng.uniform([-7, -7, -1], [7, 7, 5], (count, 3))
+    visible = np.asarray(rig.sees(points)) & (rng.random((count, CAMERAS)) < 0.8)
+    behind = visible & (np.asarray(rig.depth(points)) < 0)
+    assert behind.sum() > count / 3
+    pixels = np.asarray(rig.project(points))
+    known = visible.sum(axis=1) >= 2
+    exact = triangulate(rig, pixels, visible)
+    wide = known & (np.asarray(exact.flags) == 0)
+    assert wide.sum() > 0.8 * known.sum()
+    np.testing.assert_allclose(np.asarray(exact.points)[wide], points[wide], atol=1e-7)
+
+    noisy = pixels + rng.normal(0, 0.5, pixels.shape)
+    found = triangulate(rig, noisy, visible, sigma_px=0.5, refine_steps=10)
+    error = (np.asarray(found.points) - points)[wide]
+    square = np.einsum("ni,nij,nj->n", error, np.linalg.inv(np.asarray(found.covariance)[wide]), error)
+    assert 2.2 < square.mean() < 3.9  # 3 coordinates
+
+    def weighted(moved):
+        return jnp.sum(triangulate(rig, moved, visible, refine_steps=15).points[wide])
+
+    gradient, step = jax.jit(jax.grad(weighted))(noisy), rng.normal(0, 1e-4, noisy.shape) * visible[..., None]
+    numeric = (weighted(noisy + step) - weighted(noisy - step)) / 2
+    np.testing.assert_allclose(jnp.sum(gradient * step), numeric, rtol=1e-4)
 
 
 def test_many_views():

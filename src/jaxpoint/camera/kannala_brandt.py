@@ -123,7 +123,8 @@ def _grows(coefficients: Parameters, angle: Array) -> Array:
 def _reach(coefficients: Parameters) -> Array:
     """The angle up to which the radius grows, pi at most."""
     grid = jnp.linspace(0.0, jnp.pi, _SAMPLES + 1)[1:].astype(coefficients[0].dtype)
-    falls = ~(_grows(coefficients, grid.reshape(_SAMPLES, *(1,) * coefficients[0].ndim)) > 0)
+    rows = [row[None] for row in coefficients]
+    falls = ~(_grows(rows, grid.reshape(_SAMPLES, *(1,) * coefficients[0].ndim)) > 0)
     first = jnp.argmax(falls, axis=0)
     high = grid[first]
 

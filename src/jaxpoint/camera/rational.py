@@ -100,8 +100,8 @@ def _radius(coefficients: Parameters, radius: Array) -> tuple[Array, Array]:
 def _reach2(coefficients: Parameters) -> Array:
     """Squared radius up to which the distorted one grows: the first sample where it falls, refined by halving."""
     grid = jnp.geomspace(1e-3, 1e3, _SAMPLES).astype(coefficients[0].dtype)
-    shape = (_SAMPLES, *(1,) * coefficients[0].ndim)
-    falls = ~(_radius(coefficients, grid.reshape(shape))[1] > 0) | ~(_below(coefficients, grid.reshape(shape)) > 0)
+    rows, radius = [row[None] for row in coefficients], grid.reshape(_SAMPLES, *(1,) * coefficients[0].ndim)
+    falls = ~(_radius(rows, radius)[1] > 0) | ~(_below(rows, radius) > 0)
     first = jnp.argmax(falls, axis=0)
     low, high = grid[jnp.maximum(first - 1, 0)], grid[first]
 
