@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable
 from enum import IntFlag
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import equinox as eqx
 import jax
@@ -37,6 +37,9 @@ _DAMPING = 1e-6  # of Levenberg-Marquardt at the start, relative to the diagonal
 _SETTLED = 1e-10  # px^2; a step that promises to lower a cost by less is taken unseen, and is the last
 _MANY_VIEWS = 8  # with more, sums over views and pairs of views are not written out: quicker to compile
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+Rows3: TypeAlias = tuple[Float[Array, "C B"], Float[Array, "C B"], Float[Array, "C B"]]
 
 
 class Flag(IntFlag):
@@ -354,7 +357,7 @@ def _optimum_jvp(steps: int, primals: tuple, tangents: tuple) -> tuple[tuple, tu
 
 def _directions(
     cameras: Camera, pixel_x: Float[Array, "C B"], pixel_y: Float[Array, "C B"], wanted: Bool[Array, "C B"]
-) -> tuple[Vector, Bool[Array, "C B"]]:
+) -> tuple[Rows3, Bool[Array, "C B"]]:
     """Lines of sight in the cameras, and whether the lenses have them."""
     return cameras.lens.direction_of(cameras.lens.parameters, pixel_x, pixel_y, wanted)
 
@@ -416,7 +419,7 @@ def _mean(seen: Seen, rows: Float[Array, "C B"]) -> Float[Array, " B"]:
     return _sum(rows) / seen.views
 
 
-def _local(cameras: Camera, seen: Seen, points: Vector) -> Vector:
+def _local(cameras: Camera, seen: Seen, points: Vector) -> Rows3:
     """Points in every camera; straight ahead where a view is not used."""
     r, t = cameras.cam_from_world.rotation, cameras.cam_from_world.translation
     x, y, z = points
@@ -441,7 +444,7 @@ def _projected(
     return cameras.lens.image_of(cameras.lens.parameters, local), _behind(cameras, local, seen.weight)
 
 
-def _behind(cameras: Camera, local: Vector, weight: Float[Array, "C B"]) -> Float[Array, "C B"]:
+def _behind(cameras: Camera, local: Rows3, weight: Float[Array, "C B"]) -> Float[Array, "C B"]:
     """1 where a camera cannot see a point that it is said to see."""
     if cameras.lens.sees_sideways:
         return jnp.where(cameras.lens.in_range(cameras.lens.parameters, local), 0.0, weight)

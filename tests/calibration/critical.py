@@ -86,7 +86,7 @@ def sigmas_off(found: Calibration, truth: Truth) -> float:
         return np.inf
     chosen = [int(name.removeprefix("cam_")) for name in found.rig.names]
     count = len(chosen)
-    blocks = np.einsum("cpcq->cpq", found.camera_covariance.reshape(count, 15, count, 15))
+    blocks = np.einsum("cpcq->cpq", found.camera_covariance.reshape(count, -1, count, found.rig.camera_size))
     sigma = np.sqrt(np.einsum("cpp->cp", blocks))[:, 6:8]
     focal = np.abs(np.asarray(found.rig.cameras.focal) - truth.focal[chosen]) / sigma
     positions, valid = np.asarray(found.rig.positions), found.point_valid

@@ -15,6 +15,7 @@ from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.errors import InsufficientDataError, QualityError, UsageError
 
 MOST_SIGMAS = 3.0  # of a calibration called good
+SQUARE = CalibrateSettings(lens=LensSettings(aspect="fixed"))  # stated: level cameras in a row leave the aspect open
 
 
 @pytest.fixture(autouse=True)
@@ -56,10 +57,18 @@ def test_what_is_called_good_is_right_on_the_way_through_a_critical_configuratio
     critical, *others = SWEEPS[cause]
     assert refusal(critical) & {cause, "plane", "line"}
     for build in others:
-        found, truth = solved(*build())
+        found, truth = solved(*build(), SQUARE)
         quality = assess(found)
         assert not quality.passed or sigmas_off(found, truth) <= MOST_SIGMAS
     assert quality.passed
+
+
+@pytest.mark.parametrize("aspect", [1.0, 16 / 15])
+def test_level_cameras_in_a_row_leave_the_pixel_aspect_open(aspect):
+    found, _ = solved(row(100.0), waved(), aspect=aspect)
+    quality = assess(found)
+    assert quality.causes == ("pixel aspect",)
+    assert "--lens.aspect fixed" in str(quality.failure)
 
 
 def test_parallel_axes_name_the_cure_and_known_lenses_cure_it():

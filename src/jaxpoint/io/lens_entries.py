@@ -106,7 +106,7 @@ def _opencv(where: str, values: np.ndarray) -> tuple[type[AbstractLens], np.ndar
 
 
 def common_model(
-    where: str, models: Sequence[type[AbstractLens]], coefficients: Sequence[Sequence[float]]
+    where: str, models: Sequence[type[AbstractLens]], coefficients: Sequence[Any]
 ) -> tuple[type[AbstractLens], Float[np.ndarray, "C k"]]:
     """The one model that has all of these lenses exactly, and their coefficients in it.
 
