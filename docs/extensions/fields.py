@@ -32,18 +32,20 @@ def _walk(scope: griffe.Module | griffe.Class) -> None:
 
 
 def _tabulate(cls: griffe.Class) -> None:
-    fields = [member for member in cls.attributes.values() if _is_field(member)]
+    fields = [member for member in cls.members.values() if _is_field(member)]
     if not fields:
         return
     text = cls.docstring.value if cls.docstring else ""
     rows = "\n".join(f"    {_row(field)}" for field in fields)
     cls.docstring = griffe.Docstring(f"{text}\n\nAttributes:\n{rows}", parent=cls)
     for field in fields:
-        cls.del_member(field.name)
+        del cls.members[field.name]
 
 
-def _is_field(member: griffe.Attribute) -> bool:
-    return not member.name.startswith("_") and "property" not in member.labels
+def _is_field(member: griffe.Object | griffe.Alias) -> bool:
+    """Of the class itself, neither inherited nor a property."""
+    own = member.is_attribute and not member.is_alias and "property" not in member.labels
+    return own and not member.name.startswith("_")
 
 
 def _row(field: griffe.Attribute) -> str:
