@@ -1,4 +1,4 @@
-# `make demo` and `make test` each work alone: they create .venv and install what they need, once.
+# `make demo`, `make test` and `make docs` each work alone: they create .venv and install what they need, once.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -9,7 +9,7 @@ WORKERS ?= $(shell $(PYTHON) .ci/workers.py)
 CHECKED := geometry camera tracks triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person answer
 TYPED := $(shell echo $(CHECKED:%=jaxpoint.%) beartype.beartype | tr ' ' ',')
 
-.PHONY: demo test lint bench-quick
+.PHONY: demo test lint docs bench-quick
 
 demo: $(VENV)/.core
 	$(BIN)/jaxpoint demo --out demo-run --force --open
@@ -22,6 +22,10 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
+# Pages in site/, which open from the disk: site/index.html. The variable silences an advertisement of the theme.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict --quiet
+
 # Beside Ceres (libceres-dev, cmake and a C++ compiler); fails where a ratio got worse than the committed baseline's.
 bench-quick: $(VENV)/.dev
 	$(BIN)/python experiments/benchmarks/bundle_adjustment.py --quick
@@ -32,6 +36,10 @@ $(VENV)/.core: pyproject.toml | $(VENV)/pyvenv.cfg
 
 $(VENV)/.dev: pyproject.toml | $(VENV)/pyvenv.cfg
 	$(PIP) install --editable '.[dev]'
+	touch $@
+
+$(VENV)/.docs: pyproject.toml | $(VENV)/pyvenv.cfg
+	$(PIP) install --editable '.[docs]'
 	touch $@
 
 $(VENV)/pyvenv.cfg:

@@ -1,7 +1,7 @@
 """What does jaxpoint reach on the real recordings, beside the figures published with them?
 
 Calibrates svoboda_strawlab2010 and svoboda_arctic4 (its points, and its 2,000 images from the pixels on), aligns
-braid_alignment, and measures the squares of caliscope_charuco4. One Markdown table: the README's figures.
+braid_alignment, and measures the squares of caliscope_charuco4. One Markdown table: the figures of the docs.
 
     python experiments/real_recordings.py DATA --out real.md
 """

@@ -63,6 +63,18 @@ def test_imports_point_one_way(path):
             assert RANK[parts[1]] <= RANK[layer(path)], f"{path.name} must not import {name}."
 
 
+def test_the_picture_shows_the_layers():
+    """And the table beside it names them all."""
+    docs = ROOT.parents[1] / "docs"
+    boxes = re.findall(r' y="(\d+)"[^>]*font-weight="600"[^>]*>(\w+)<', (docs / "layers.svg").read_text("utf-8"))
+    rows: dict[int, set[str]] = {}
+    for y, name in boxes:
+        rows.setdefault(int(y), set()).add(name)
+    assert [rows[y] for y in sorted(rows, reverse=True)] == [set(names) for names in LAYERS]
+    table = (docs / "architecture.md").read_text("utf-8")
+    assert not {name for name in RANK if not re.search(rf"`{name}(\.py|/)`", table)}
+
+
 def test_opencv_stays_at_the_edge():
     users = {layer(path) for path in modules() if any(name.split(".")[0] == "cv2" for name in imported(path))}
     assert users <= USES_OPENCV
@@ -70,12 +82,12 @@ def test_opencv_stays_at_the_edge():
 
 
 def test_every_extra_is_used():
-    """Extras for users, that is, whose packages are imported by their own names; `dev` is for tests and checks."""
+    """Extras for users, that is, whose packages are imported by their own names; `dev` and `docs` are for us."""
     project = tomllib.loads((ROOT.parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     used = {name.split(".")[0] for path in modules() for name in imported(path)}
     for extra, packages in project["optional-dependencies"].items():
         unused = {re.match(r"[\w-]+", package)[0] for package in packages} - used
-        assert extra == "dev" or not unused, f"Nothing imports {unused} of the extra '{extra}'."
+        assert extra in ("dev", "docs") or not unused, f"Nothing imports {unused} of the extra '{extra}'."
 
 
 def test_library_does_not_print():

@@ -360,6 +360,14 @@ def test_doctor_examines_this_machine(capsys):
     assert findings["extra 'tables'"]["remedy"] in ("", 'pip install "jaxpoint[tables]"')
 
 
+def test_doctor_names_the_extras_of_users_alone(monkeypatch, capsys):
+    wanted = [f"{extra}-package; extra == '{extra}'" for extra in ("dev", "docs", "tables")]
+    monkeypatch.setattr("jaxpoint.doctor.requires", lambda name: wanted)
+    code, out, _ = run("doctor", "--json", capsys=capsys)
+    named = [finding["name"] for finding in json.loads(out)["findings"] if finding["name"].startswith("extra")]
+    assert (code, named) == (0, ["extra 'tables'"])
+
+
 @pytest.mark.parametrize(("code", "leave"), [(0, "sys.exit"), (5, "sys.exit"), (130, "os._exit")])
 def test_the_process_ends_with_the_code_of_its_command(monkeypatch, code, leave):
     """An interrupted one at once: the orderly way crashes in threads of XLA."""

@@ -19,7 +19,10 @@ from jaxpoint.geometry.arrays import hash_or_hint
 from jaxpoint.lazy import homes_in
 
 ROOT = Path(jaxpoint.__file__).parent
-PACKAGES = ("calibration", "camera", "config", "detect", "geometry", "io", "pointing", "report", "simulate")
+PACKAGES = (
+    *("calibration", "camera", "config", "detect", "geometry", "io"),
+    *("pointing", "pointing.shapes", "report", "simulate"),
+)
 WANTED = {
     "Behaviour", "Bias", "Calibration", "CameraRig", "JaxpointError", "Objects", "PointingLine", "Tracks", "calibrate",
     "chain_of", "detect_led", "fit_bias", "intersect", "nearest", "posterior", "read_objects", "resect", "triangulate",
@@ -71,6 +74,16 @@ def test_importing_the_package_imports_nothing_heavy():
 def test_a_stub_says_where_a_name_lives():
     stub = "from .a.b import c as c, d as e\nfrom jax import numpy\nfrom . import f\n"
     assert homes_in(stub) == {"c": ("a.b", "c"), "e": ("a.b", "d")}
+
+
+def test_the_api_pages_list_every_public_name():
+    pages = (ROOT.parents[1] / "docs/api").glob("*.md")
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages)
+    listed = [name.rpartition(".")[::2] for name in re.findall(r"^::: jaxpoint\.(.+)$", text, re.MULTILINE)]
+    assert len(listed) == len(set(listed))
+    assert all(name in module(package).__all__ for package, name in listed)
+    public = {name for package in ("", *PACKAGES) for name in module(package).__all__}
+    assert {name for _, name in listed} == public
 
 
 def documents() -> list[Path]:

@@ -29,7 +29,7 @@ from .camera.lenses import register_lens as register_lens
 from .camera.resection import resect as resect
 from .geometry.pose import Pose as Pose, Similarity as Similarity
 from .geometry.line import Ray as Ray
-from .triangulation import Triangulation as Triangulation, triangulate as triangulate
+from .triangulation import Flag as Flag, Triangulation as Triangulation, triangulate as triangulate
 
 # The room
 from .calibration.alignment import (

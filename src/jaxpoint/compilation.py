@@ -12,7 +12,7 @@ from collections.abc import Callable
 from functools import cache, wraps
 from importlib.metadata import version
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import jax
 from jax.core import eval_context
@@ -33,7 +33,7 @@ def jit(function: Callable[..., Result], *, options: dict = CPU_OPTIONS, **keywo
 
     Args:
         options: of XLA on a CPU.
-        keywords: of `jax.jit`.
+        **keywords: of `jax.jit`.
     """
     tuned = jax.jit(function, compiler_options=options, **keywords)
     plain = jax.jit(function, **keywords)
@@ -62,7 +62,7 @@ def _top_level() -> object:
         return get_opaque_trace_state()
 
 
-def jit_once(function: Callable[..., Result], **keywords) -> Callable[..., Result]:
+def jit_once(function: Callable[..., Result], **keywords: Any) -> Callable[..., Result]:
     """`jit` for programs that run once or twice: quick to compile is worth more than quick to run.
 
     Args:

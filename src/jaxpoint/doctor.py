@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 
+DEVELOPERS = ("dev", "docs")  # extras that only developers of jaxpoint need
 CAMERA_FOLDER = Path("/sys/class/video4linux")  # where Linux lists cameras; other systems have no such list
 
 
@@ -88,10 +89,10 @@ def _cameras() -> Finding:
 
 
 def _extras() -> list[Finding]:
-    """Optional packages by the extra that brings them; a missing one is not wrong, but says how to get it."""
+    """Optional packages of users by the extra that brings them; a missing one is not wrong, but says how to get it."""
     extras: dict[str, list[str]] = {}
     for package, extra in _requirements():
-        if extra and extra != "dev":
+        if extra and extra not in DEVELOPERS:
             extras.setdefault(extra, []).append(package)
     findings = []
     for extra, packages in extras.items():

@@ -124,7 +124,10 @@ def write_tracks_report(
         pairs: as `calibration.pairs.pair_table` gives.
         clocks: as `calibration.clocks.survey_clocks` gives.
         problem: why these tracks cannot be calibrated, where that is already known.
-        provenance, config_text, sheets, title: as in `write_report`.
+        provenance: as in `write_report`.
+        config_text: as in `write_report`.
+        sheets: as in `write_report`.
+        title: as in `write_report`.
 
     Raises:
         OSError: the folder is missing or not writable.

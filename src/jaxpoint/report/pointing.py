@@ -61,7 +61,8 @@ def write_pointing_report(
         notes: what a reader should know, a sentence each.
         provenance: versions, command, inputs.
         config_text: the settings as TOML.
-        title, kind: of the page.
+        title: of the page.
+        kind: of the page, such as the command that made it.
         intro: sentences before the table.
         links: to other pages, name and address.
 

@@ -32,7 +32,7 @@ def write_session(
     masks: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Write a session into an empty folder that exists, but for its preview; see the README for what lies in it.
+    """Write a session into an empty folder that exists, but for its preview; see `docs/reference/formats.md`.
 
     Args:
         folder: it should take its final name only afterwards, so that what is there is whole (`runs.new_run`).
