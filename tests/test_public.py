@@ -104,6 +104,7 @@ def test_documents_import_public_names_alone(path):
                 assert names <= set(module(package).__all__), f"{names} of {node.module} in {path.name}"
 
 
+@pytest.mark.usefixtures("any_shape")
 @pytest.mark.parametrize("name", ["Alignment", "Calibration", "Triangulation"])
 def test_results_are_pytrees_or_say_why_not(name):
     result = getattr(jaxpoint, name)
@@ -116,6 +117,7 @@ def _without_fields(result: type):
     return result(*[None] * len(dataclasses.fields(result)))
 
 
+@pytest.mark.usefixtures("any_shape")
 def test_an_alignment_goes_through_jax():
     similarity = jaxpoint.Similarity(np.float64(2.0), np.eye(3), np.zeros(3))
     aligned = jaxpoint.Alignment(similarity, "floor", ("a",), np.ones(1), (None,), 1.0, 1.0, True)

@@ -72,6 +72,7 @@ def test_masses_are_scipys(freedom):
         assert float(mass) == pytest.approx(expected, abs=1e-4)
 
 
+@pytest.mark.usefixtures("any_shape")
 @pytest.mark.parametrize("freedom", [0, -2, 2.5])
 def test_degrees_of_freedom_that_no_distribution_has_are_refused(freedom):
     with pytest.raises(ValueError, match=f"`freedom` cannot be {freedom:g}; give a whole number"):

@@ -96,8 +96,8 @@ class AbstractLens(eqx.Module):
     @classmethod
     def of(
         cls,
-        focal: Float[AnyArray, "*batch 2"],
-        center: Float[AnyArray, "*batch 2"],
+        focal: Float[AnyArray, "*batch 2"] | Sequence[float],
+        center: Float[AnyArray, "*batch 2"] | Sequence[float],
         coefficients: Float[AnyArray, "*batch k"] | Sequence[float] | None = None,
     ) -> AbstractLens:
         """A lens of its focal lengths and principal point (px); coefficients that are left out are 0."""
