@@ -247,7 +247,7 @@ def test_fewer_lens_parameters_are_held_at_zero(dense, distortion):
 
 def test_a_large_rig_leaves_what_is_held_out_of_its_products():
     """From 16 cameras on the adjustment is another program; whatever fails in the background fails this test."""
-    room = random_room(3, cameras=16)
+    room = random_room(3, cameras=16, frames=250)
     found = calibrate(room.tracks)
     assert found.converged
     assert centre_error(np.asarray(found.rig.positions), room.positions) < 0.05
