@@ -25,6 +25,7 @@ from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
+from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import ContradictionError, InsufficientDataError
@@ -63,11 +64,13 @@ def calibrate(
 
     Raises:
         InsufficientDataError: the tracks cannot determine a calibration; the message names camera and remedy.
+        UsageError: `settings.lens.distortion` names no lens.
         ValueError: known intrinsics of another number of cameras than the tracks have.
     """
     settings = settings or CalibrateSettings()
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
+    lens_of_choice(first_choice(settings, intrinsics))  # refuses an unknown lens before anything is computed
     with jax.enable_x64(True):
         tracks = with_stated_aspects(tracks, settings.lens)
         return _consistent(tracks, settings, intrinsics, progress or _silent)

@@ -105,10 +105,15 @@ def lens_table(summary: Summary, late: TimeOffsets | None = None) -> Table:
     return Table(header, rows)
 
 
+_SHORT = {"kannala_brandt": "fisheye"}  # names of lens models that a table has room for
+
+
 def _distortion_text(summary: Summary, camera: int) -> str:
     """The coefficients of a lens that are not 0 at the end, with the model's name where it is not Brown's."""
-    values = ", ".join(f"{k:.4g}" for k in _without_tail(summary.distortion[camera].tolist())) or "none"
-    return values if summary.lens_model == "brown" else f"{summary.lens_model.replace('_', ' ')}: {values}"
+    brown = summary.lens_model == "brown"
+    digits = ".4g" if brown else ".2g"
+    values = ", ".join(format(k, digits) for k in _without_tail(summary.distortion[camera].tolist())) or "none"
+    return values if brown else f"{_SHORT.get(summary.lens_model, summary.lens_model)}: {values}"
 
 
 def offset_texts(late: TimeOffsets) -> list[str]:
