@@ -17,6 +17,7 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.rooms import random_room
 
 SEEDS = (1, 5, 7, 8, 13)  # visibility 0.6 to 0.8, 1 to 8 % of outliers; three and four cameras
@@ -243,6 +244,11 @@ def test_fewer_lens_parameters_are_held_at_zero(dense, distortion):
     np.testing.assert_array_equal(coefficients[:, free:], 0.0)
     np.testing.assert_allclose(found.rig.cameras.center, np.tile((np.array([1280, 720]) - 1) / 2, (4, 1)))
     np.testing.assert_allclose(found.rig.cameras.focal[:, 0], found.rig.cameras.focal[:, 1])
+
+
+def test_an_unknown_lens_model_is_refused_at_once():
+    with pytest.raises(UsageError, match=r"no lens model 'wide'; choose auto or one of brown, fisheye"):
+        calibrate(random_room(1, cameras=3, frames=30).tracks, CalibrateSettings(lens=LensSettings(distortion="wide")))
 
 
 def test_a_large_rig_leaves_what_is_held_out_of_its_products():
