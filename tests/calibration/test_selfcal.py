@@ -248,7 +248,7 @@ def test_fewer_lens_parameters_are_held_at_zero(dense, distortion):
 
 def test_an_unknown_lens_model_is_refused_at_once():
     with pytest.raises(UsageError, match=r"no lens model 'wide'; choose auto or one of brown, fisheye"):
-        calibrate(random_room(1, cameras=3, frames=30).tracks, CalibrateSettings(lens=LensSettings(distortion="wide")))
+        calibrate(random_room(1, cameras=3, frames=100).tracks, CalibrateSettings(lens=LensSettings(distortion="wide")))
 
 
 def test_a_large_rig_leaves_what_is_held_out_of_its_products():
