@@ -32,7 +32,8 @@ def choose_lens(recording: Recording, solution: Solution, settings: CalibrateSet
         return solution, []  # chosen before another prior was given up
     solution, stage = _choose_terms(recording, solution, settings)
     doubtful = stage.figures.get("gain_in_standard_errors", 0.0) > LEAST_DOUBT
-    if not doubtful and not _is_wide(recording, solution.state):
+    known = settings.lens.known != "none"  # a given lens is refined in its own model, never replaced by another
+    if known or not (doubtful or _is_wide(recording, solution.state)):
         return solution, [stage]
     return _choose_fisheye(recording, solution, settings, stage)
 

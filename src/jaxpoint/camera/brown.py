@@ -13,7 +13,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Slopes, Vector
-from jaxpoint.camera.plane import MAX_R2, PlaneModel, in_reach, on_plane, solve_symmetric, undistort
+from jaxpoint.camera.plane import (
+    MAX_R2,
+    PlaneModel,
+    image_on_plane,
+    in_reach,
+    on_plane,
+    plane_jacobian,
+    solve_symmetric,
+    tangential,
+    undistort,
+)
 from jaxpoint.geometry.arrays import as_float
 
 WILD_R2 = 9.0  # of an adjustment on its way: beyond it the polynomial counts as constant, and cannot overflow
@@ -50,10 +60,7 @@ class Brown(AbstractLens):
     @staticmethod
     def image_of(parameters: Parameters, direction: Vector) -> tuple[Array, Array]:
         """Pixel of a direction before the camera."""
-        fx, fy, cx, cy, *coefficients = parameters
-        u, v, _ = on_plane(direction)
-        bent_u, bent_v = _distort(coefficients, u, v)
-        return fx * bent_u + cx, fy * bent_v + cy
+        return image_on_plane(MODEL, parameters, direction)
 
     @staticmethod
     def direction_of(
@@ -74,7 +81,7 @@ class Brown(AbstractLens):
     @staticmethod
     def in_range(parameters: Parameters, direction: Vector) -> Array:
         """Whether the radial polynomial grows all the way from the axis to this direction."""
-        return in_reach(MODEL, jnp.stack([jnp.asarray(value) for value in parameters[4:]]), direction)
+        return in_reach(MODEL, parameters, direction)
 
     @classmethod
     def slopes_of(cls, parameters: Parameters, direction: Vector, xp: Any = jnp, *, wild: bool = False) -> Slopes:
@@ -117,10 +124,7 @@ def _distort(coefficients: Parameters, x: Array, y: Array) -> tuple[Array, Array
 
 
 def _tangential(coefficients: Parameters, x: Array, y: Array) -> Float[Array, "2 *batch"]:
-    """What decentred lenses add to the radial part."""
-    p1, p2 = coefficients[2], coefficients[3]
-    r2 = jnp.minimum(x * x + y * y, MAX_R2)
-    return jnp.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y])
+    return tangential(coefficients[2], coefficients[3], x, y)
 
 
 def _jacobian(coefficients: Parameters, x: Array, y: Array) -> tuple[Array, Array, Array]:
@@ -128,12 +132,7 @@ def _jacobian(coefficients: Parameters, x: Array, y: Array) -> tuple[Array, Arra
     k1, k2, p1, p2, k3 = coefficients
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-    return (
-        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
-        slope * x * y + 2 * p1 * x + 2 * p2 * y,
-        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
-    )
+    return plane_jacobian(radial, k1 + r2 * (2 * k2 + r2 * 3 * k3), p1, p2, x, y)
 
 
 def _radius(coefficients: Parameters, radius: Array) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxpoint.camera.lens import Vector
+from jaxpoint.camera.lens import COMMON, Parameters, Vector
 from jaxpoint.geometry.arrays import stack_last
 
 # A ray 89.9 degrees off the axis; beyond it a polynomial in r^2 means nothing and only overflows.
@@ -44,6 +44,32 @@ def on_plane(direction: Vector, xp: Any = jnp) -> Vector:
     return x / z, y / z, z
 
 
+def image_on_plane(model: PlaneModel, parameters: Parameters, direction: Vector) -> tuple[Array, Array]:
+    """Pixel of a direction before the camera."""
+    fx, fy, cx, cy, *coefficients = parameters
+    u, v, _ = on_plane(direction)
+    bent_u, bent_v = model.distort(coefficients, u, v)
+    return fx * bent_u + cx, fy * bent_v + cy
+
+
+def tangential(p1: Array, p2: Array, x: Array, y: Array) -> Float[Array, "2 *batch"]:
+    """What decentred lenses add to the radial part."""
+    r2 = jnp.minimum(x * x + y * y, MAX_R2)
+    return jnp.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y])
+
+
+def plane_jacobian(
+    radial: Array, by_square: Array, p1: Array, p2: Array, x: Array, y: Array
+) -> tuple[Array, Array, Array]:
+    """d x'/dx, d x'/dy (= d y'/dx), d y'/dy, from the radial factor and its derivative by r^2."""
+    slope = 2 * by_square
+    return (
+        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
+        slope * x * y + 2 * p1 * x + 2 * p2 * y,
+        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
+    )
+
+
 def undistort(
     model: PlaneModel, coefficients: Float[Array, "k ..."], x: Array, y: Array
 ) -> tuple[Array, Array, Bool[Array, "..."]]:
@@ -53,8 +79,9 @@ def undistort(
     return ideal[..., 0], ideal[..., 1], _found(model, coefficients, ideal, target)
 
 
-def in_reach(model: PlaneModel, coefficients: Float[Array, "k ..."], direction: Vector) -> Array:
+def in_reach(model: PlaneModel, parameters: Parameters, direction: Vector) -> Array:
     """Whether directions point forward and cross the plane where the radial part grows all the way."""
+    coefficients = jnp.stack([jnp.asarray(value) for value in parameters[COMMON:]])
     u, v, _ = on_plane(direction)
     return (direction[2] > 0) & (u * u + v * v <= model.reach2(coefficients))
 

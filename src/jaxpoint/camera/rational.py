@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Vector
-from jaxpoint.camera.plane import MAX_R2, PlaneModel, in_reach, on_plane, undistort
+from jaxpoint.camera.plane import MAX_R2, PlaneModel, image_on_plane, in_reach, plane_jacobian, tangential, undistort
 from jaxpoint.geometry.arrays import as_float
 
 _SAMPLES, _HALVINGS = 128, 40  # where the radius is looked at, from 1e-3 to 1e3, and how the end of its growth is found
@@ -38,10 +38,7 @@ class Rational(AbstractLens):
     @staticmethod
     def image_of(parameters: Parameters, direction: Vector) -> tuple[Array, Array]:
         """Pixel of a direction before the camera."""
-        fx, fy, cx, cy, *coefficients = parameters
-        u, v, _ = on_plane(direction)
-        bent_u, bent_v = _distort(coefficients, u, v)
-        return fx * bent_u + cx, fy * bent_v + cy
+        return image_on_plane(MODEL, parameters, direction)
 
     @staticmethod
     def direction_of(
@@ -55,7 +52,7 @@ class Rational(AbstractLens):
     @staticmethod
     def in_range(parameters: Parameters, direction: Vector) -> Array:
         """Whether the radial part grows all the way from the axis to this direction."""
-        return in_reach(MODEL, jnp.stack([jnp.asarray(value) for value in parameters[4:]]), direction)
+        return in_reach(MODEL, parameters, direction)
 
 
 def _factor(coefficients: Parameters, r2: Array) -> tuple[Array, Array]:
@@ -76,20 +73,11 @@ def _distort(coefficients: Parameters, x: Array, y: Array) -> tuple[Array, Array
 
 
 def _tangential(coefficients: Parameters, x: Array, y: Array) -> Float[Array, "2 *batch"]:
-    p1, p2 = coefficients[2], coefficients[3]
-    r2 = jnp.minimum(x * x + y * y, MAX_R2)
-    return jnp.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y])
+    return tangential(coefficients[2], coefficients[3], x, y)
 
 
 def _jacobian(coefficients: Parameters, x: Array, y: Array) -> tuple[Array, Array, Array]:
-    p1, p2 = coefficients[2], coefficients[3]
-    radial, by_square = _factor(coefficients, x * x + y * y)
-    slope = 2 * by_square
-    return (
-        radial + slope * x * x + 2 * p1 * y + 6 * p2 * x,
-        slope * x * y + 2 * p1 * x + 2 * p2 * y,
-        radial + slope * y * y + 6 * p1 * y + 2 * p2 * x,
-    )
+    return plane_jacobian(*_factor(coefficients, x * x + y * y), coefficients[2], coefficients[3], x, y)
 
 
 def _radius(coefficients: Parameters, radius: Array) -> tuple[Array, Array]:
