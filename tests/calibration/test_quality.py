@@ -13,6 +13,7 @@ from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.errors import InsufficientDataError, QualityError, UsageError
+from jaxpoint.simulate.rooms import random_room
 
 MOST_SIGMAS = 3.0  # of a calibration called good
 SQUARE = CalibrateSettings(lens=LensSettings(aspect="fixed"))  # stated: level cameras in a row leave the aspect open
@@ -143,3 +144,12 @@ def test_patterns_of_aspects_keep_the_ratios_that_were_found():
     patterns = aspect_patterns(0.95 * np.array([4 / 3, 1.0, 1.0]))
     assert patterns[0] == pytest.approx((4 / 3, 1.0, 1.0))
     assert all(pattern[0] / pattern[1] == pytest.approx(4 / 3, rel=0.02) for pattern in patterns)
+
+
+@pytest.mark.parametrize("choice", ["pinhole", "none"])
+def test_a_lens_model_that_is_too_poor_is_refused(choice):
+    """The misfit passes for noise; k1 of -0.24 in one of four cameras moves focal lengths by 8 %."""
+    settings = CalibrateSettings(lens=LensSettings(distortion=choice))
+    quality = assess(with_covariance(calibrate(random_room(3, cameras=4, frames=300).tracks, settings)), settings)
+    assert "lens model" in quality.causes
+    assert "--lens.distortion auto" in str(quality.failure)

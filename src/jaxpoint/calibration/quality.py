@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from jaxpoint.calibration.camera_checks import camera_findings
 from jaxpoint.calibration.determinacy import undetermined
+from jaxpoint.calibration.held_terms import held_term_findings
 from jaxpoint.calibration.known_lenses import known_lens_findings
 from jaxpoint.calibration.lens_checks import lens_findings
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
@@ -97,6 +98,7 @@ def assess(
         *prior_findings(calibration, normal),
         *known_lens_findings(calibration, normal),
         *lens_findings(calibration),
+        *(() if normal is None else held_term_findings(calibration)),
         *camera_findings(calibration, settings, normal),
     ]
     order = {"bad": 0, "care": 1, "good": 2}
