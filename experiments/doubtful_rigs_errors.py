@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from doubtful_rigs_generator import Rig
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import centres
-from jaxpoint.calibration.uncertainty import centres_by_numbers
+from jaxpoint.calibration.uncertainty import centres_by_parameters
 
 FAR = 5.0  # times the median distance
 
@@ -122,7 +122,7 @@ def _predicted(calibration: Calibration, fit: Fit) -> tuple[np.ndarray, np.ndarr
         return np.zeros((count, 2)), np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
     whole = np.asarray(calibration.camera_covariance).reshape(count, -1, count, calibration.rig.camera_size)
     own = np.einsum("cpcq->cpq", whole)
-    turn = fit.scale * fit.turn @ centres_by_numbers(calibration.rig)
+    turn = fit.scale * fit.turn @ centres_by_parameters(calibration.rig)
     focal = np.sqrt(np.maximum(np.diagonal(own, axis1=1, axis2=2)[:, 6:8], 0.0))
     return focal, turn @ own @ np.swapaxes(turn, 1, 2), own[:, :3, :3]
 

@@ -37,7 +37,7 @@ from pointing_people import Gestures
 Method = Literal["endpoints", "planes"]
 Line = Literal["forearm", "thesis", "finger", "eye-fingertip", "head-hand", "shoulder-hand"]
 PART = 512
-_FEWEST = 128  # gestures that a part is told of are padded to so many: few programs are compiled
+_FEWEST = 128  # the gestures of a part are padded to so many: few programs are compiled
 CENTROID = 0.15  # of the forearm lies before the centroid of forearm and hand, from the wrist on
 FINGER_RADIUS_M = 0.008  # by which the outline lies above the axis at the fingertip
 

@@ -39,7 +39,7 @@ print("done")
 
 
 def test_results_lie_where_the_inputs_lie():
-    """In a process of its own: a CPU has two devices only where JAX is told so before it starts."""
+    """In a process of its own: a CPU has two devices only where JAX is configured so before it starts."""
     told = {
         **os.environ,
         "XLA_FLAGS": "--xla_force_host_platform_device_count=2",

@@ -1,4 +1,4 @@
-"""What is told of an answer: the place that is meant, and that words made it likeliest."""
+"""What an answer says: the place that is meant, and that words made it likeliest."""
 
 import json
 from dataclasses import replace

@@ -77,7 +77,7 @@ def test_offsets_are_those_of_bayes():
     with jax.enable_x64(True):
         found = learnt_offsets(way(), OTHERS, WRONG, WHO, LEFT, ask)
         expected = [by_hand(i) for i in (0, 1, 2, 4, 5)]
-    np.testing.assert_array_equal(found.gestures, [0, 1, 2, 4, 5])  # who points once tells nothing
+    np.testing.assert_array_equal(found.gestures, [0, 1, 2, 4, 5])  # a person who points once has no scatter
     for got, wanted in zip((found.offset, found.probability, found.marginal), zip(*expected)):
         np.testing.assert_allclose(got, wanted, rtol=1e-7, atol=1e-10)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.uncertainty import centres_by_numbers
+from jaxpoint.calibration.uncertainty import centres_by_parameters
 from jaxpoint.tracks import Tracks
 
 FRAMES, NOISE_PX, SIZE, FOCAL = 400, 0.3, (1280, 720), 800.0
@@ -94,7 +94,7 @@ def sigmas_off(found: Calibration, truth: Truth) -> float:
     target = np.concatenate([truth.centres[chosen], truth.light[valid]])
     back = umeyama(target, source)
     apart = np.asarray(back @ truth.centres[chosen]) - positions
-    by_camera = centres_by_numbers(found.rig)
+    by_camera = centres_by_parameters(found.rig)
     spread = np.einsum("cip,cpq,cjq->cij", by_camera, blocks, by_camera)
     centre = np.sqrt(np.einsum("ci,cij,cj->c", apart, np.linalg.inv(spread), apart) / 3.0)
     return float(max(focal.max(), centre.max()))

@@ -144,7 +144,7 @@ def test_what_is_hidden_has_no_influence(chain):
 @pytest.mark.usefixtures("any_shape")
 def test_bad_input_is_named(seen):
     calibration, arm, visible, marks = seen
-    with pytest.raises(UsageError, match="which of its numbers were free"):
+    with pytest.raises(UsageError, match="which of its parameters were free"):
         chain_of(replace(calibration, freedom=None), arm, visible)
     with pytest.raises(UsageError, match="clicks on the 8 landmarks are missing"):
         chain_of(calibration, arm, visible, landmarks=marks["landmarks"])

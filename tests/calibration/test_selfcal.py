@@ -251,6 +251,13 @@ def test_an_unknown_lens_model_is_refused_at_once():
         calibrate(random_room(1, cameras=3, frames=100).tracks, CalibrateSettings(lens=LensSettings(distortion="wide")))
 
 
+def test_known_lenses_of_another_model_than_asked_for_are_refused(solved):
+    room, _ = solved[SEEDS[0]]
+    lens = LensSettings(known="refine", distortion="fisheye")
+    with pytest.raises(UsageError, match=r"known lenses are of the model 'brown', but --lens.distortion fisheye"):
+        calibrate(room.tracks, CalibrateSettings(lens=lens), intrinsics=room.rig)
+
+
 def test_a_large_rig_leaves_what_is_held_out_of_its_products():
     """From 16 cameras on the adjustment is another program; whatever fails in the background fails this test."""
     room = random_room(3, cameras=16, frames=250)

@@ -38,7 +38,7 @@ class ArmPixels(eqx.Module):
     """
 
     slices: Float[AnyArray, "C S 2"]  # px, middles of the limb's slices
-    held: Bool[AnyArray, "C S"]  # which slices have a say
+    held: Bool[AnyArray, "C S"]  # which slices are used
     tip: Float[AnyArray, "C 2"]  # px
     tip_seen: Bool[AnyArray, " C"]
     head: Float[AnyArray, "C 2"]  # px

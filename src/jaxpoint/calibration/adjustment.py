@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree
 
 
 class Unknowns(eqx.Module):
-    """What is solved for: p numbers a camera and 3 a point, points in NB blocks of B."""
+    """What is solved for: p parameters of a camera and 3 coordinates of a point, points in NB blocks of B."""
 
     cameras: Float[Array, "C p"]
     points: Float[Array, "NB 3 B"]
@@ -31,7 +31,7 @@ class Problem(eqx.Module):
 
 
 class AbstractModel(eqx.Module):
-    """What one residual is. `p` numbers describe a camera, `r` a residual."""
+    """What one residual is. `p` parameters describe a camera; a residual has `r` entries."""
 
     @property
     @abc.abstractmethod

@@ -33,7 +33,7 @@ LANDMARKS = 3  # hold a frame
 
 
 class Measured(eqx.Module):
-    """The numbers that the points depend on. F frames, C cameras, L landmarks, N points; hidden pixels never matter."""
+    """What the points depend on. F frames, C cameras, L landmarks, N points; hidden pixels never matter."""
 
     light: Float[Array, "F C 2"]  # px
     weights: Float[Array, "F C"]  # of the light's pixels: 1 where believed, 0 where not
@@ -132,12 +132,12 @@ def chain_of(
         sigmas: standard deviation of each landmark's coordinates, m, as given to `align_to_landmarks`.
 
     Raises:
-        UsageError: the calibration does not say which numbers were free (it was read from a file, or made by hand).
+        UsageError: the calibration does not say which parameters were free (it was read from a file, or made by hand).
         InsufficientDataError: fewer than three landmarks, or a landmark or point with fewer than two pixels.
     """
     if calibration.freedom is None:
         raise UsageError(
-            "This calibration does not say which of its numbers were free; calibrate again from its tracks."
+            "This calibration does not say which of its parameters were free; calibrate again from its tracks."
         )
     count = calibration.tracks.cameras
     if landmarks is None:

@@ -5,7 +5,7 @@ the same places to the same pixels, all cameras together: what a camera did rela
 what all did together is gone (mrcal does the same for one camera, with its implied rotation). Each camera's weight
 falls with its own difference (Geman and McClure 1987), so that a camera that was moved does not pull the others along.
 
-Whether the rest is chance is asked free of any frame: with d the difference of all numbers and Q the sum of both
+Whether the rest is chance is asked free of any frame: with d the difference of all parameters and Q the sum of both
 covariances, chi-square = d^T Q^-1 d, least over all similarities (Foerstner and Wrobel 2016, chapter 4). What one
 camera adds to it when the others are known already is its own share (Baarda 1968, data snooping).
 """
@@ -27,7 +27,7 @@ from jaxpoint.calibration.alignment import transformed_covariance, umeyama
 from jaxpoint.calibration.expected import moved_by_cameras, parallax
 from jaxpoint.calibration.middle import far_middle, near, rig_about
 from jaxpoint.calibration.sight import centres, derivatives_perturbed, in_view, poses, project
-from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, centres_by_numbers
+from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, centres_by_parameters
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -263,7 +263,7 @@ def _allowed(
     for c in range(count):
         rows = by_camera[:, c]
         pixel_variance[:, c] = np.einsum("pij,jk,pik->p", rows, blocks[c, :, c], rows)
-    at_centres = centres_by_numbers(first)
+    at_centres = centres_by_parameters(first)
     centre_variance = [np.trace(at_centres[c] @ blocks[c, :, c] @ at_centres[c].T) for c in range(count)]
     flat = moved_by_cameras(first, places, seen)[0].reshape(-1, len(held))
     point_variance = 3.0 * float(((flat @ held) * flat).sum(axis=1).mean())
@@ -300,8 +300,8 @@ def _without_frame(joint, by_camera, ways, weights) -> np.ndarray:
     """The covariance of differences after an alignment by projections: an S-transformation, see `uncertainty`."""
     count = len(weights)
     pull = np.einsum("c,pcij,cjk->pcik", weights, by_camera, ways.reshape(count, -1, FREEDOMS))
-    of_numbers = np.einsum("pcik,pcij->kcj", pull, by_camera).reshape(FREEDOMS, -1)
-    away = np.eye(len(joint)) - ways @ np.linalg.solve(of_numbers @ ways, of_numbers)
+    of_parameters = np.einsum("pcik,pcij->kcj", pull, by_camera).reshape(FREEDOMS, -1)
+    away = np.eye(len(joint)) - ways @ np.linalg.solve(of_parameters @ ways, of_parameters)
     return away @ joint @ away.T
 
 
@@ -325,7 +325,7 @@ class _Squares(NamedTuple):
 def _squares(apart, joint, ways, cameras: Sequence[int]) -> _Squares:
     """d^T Q^-1 d, least over the ways in which a frame may differ.
 
-    Neither numbers that both calibrations held nor the ways themselves, which a free gauge leaves without variance,
+    Neither parameters that both calibrations held nor the ways themselves, which a free gauge leaves without variance,
     have a part. What is left when a camera goes is the inverse's block (Foerstner and Wrobel 2016, chapter 4).
     """
     bases = [_varying(joint[c, :, c]) for c in cameras]
@@ -348,7 +348,7 @@ def _squares(apart, joint, ways, cameras: Sequence[int]) -> _Squares:
 
 
 def _varying(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p V"]:
-    """Combinations of a camera's numbers that vary, each by itself with unit variance: fx and fy may be one number."""
+    """Combinations of a camera's parameters that vary, each with unit variance: fx and fy may be one parameter."""
     scale = np.sqrt(np.diagonal(covariance))
     safe = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))

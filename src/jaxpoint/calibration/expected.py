@@ -158,7 +158,7 @@ def eighths(boxes: Float[np.ndarray, "N 2 3"]) -> Float[np.ndarray, "N 8 3"]:
 def moved_by_cameras(
     rig: CameraRig, places: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"]
 ) -> tuple[Float[np.ndarray, "B 3 D"], Float[np.ndarray, "B 3 3"]]:
-    """Derivatives of triangulated places by the cameras' numbers (B, 3, D), and their covariance for pixels of 1."""
+    """Derivatives of triangulated places by the cameras' parameters (B, 3, D), and their covariance for pixels of 1."""
     by_camera, by_point = derivatives_perturbed(rig, places, seen)
     own = covariance_of_points(by_point, seen)
     return -own @ cross_terms(by_camera, by_point), own

@@ -72,8 +72,8 @@ def pixel_uncertainty(uncertainty: Uncertainty, points: Float[AnyArray, "*batch 
     blocks = uncertainty.own_blocks
 
     def one(camera: Camera, block: Float[Array, "p p"], point: Float[Array, "3"]) -> tuple[Array, Array]:
-        by_numbers = _by_numbers(lambda moved: moved.project(point), camera)
-        return camera.project(point), by_numbers @ block @ by_numbers.T
+        by_parameters = _by_parameters(lambda moved: moved.project(point), camera)
+        return camera.project(point), by_parameters @ block @ by_parameters.T
 
     over_cameras = jax.vmap(one, in_axes=(0, 0, None))
     flat = points.reshape(-1, 3)
@@ -222,7 +222,7 @@ def _moved(uncertainty: Uncertainty, pixels, visible) -> _Moved:
 def _derivatives(
     cameras: Camera, points: Float[Array, "N 3"], pixels: Float[Array, "N C 2"], used: Bool[Array, "N C"]
 ) -> tuple[Float[Array, "N 3 D"], Float[Array, "N 3 K"]]:
-    """Of triangulated points by the numbers of all cameras, and by all pixels; zero without views."""
+    """Of triangulated points by the parameters of all cameras, and by all pixels; zero without views."""
     return jax.vmap(_point_derivatives, in_axes=(None, 0, 0, 0))(cameras, points, pixels, used)
 
 
@@ -234,21 +234,21 @@ def _point_derivatives(
             seen, back = jax.vjp(moved.project, place)
             return back(seen - pixel)[0]
 
-        by_numbers = _by_numbers(lambda moved: gradient(moved, point), camera)
+        by_parameters = _by_parameters(lambda moved: gradient(moved, point), camera)
         hessian = jax.jacfwd(lambda place: gradient(camera, place))(point)
         by_pixel = -jax.jacfwd(camera.project)(point).T
         zero = jnp.zeros((), hessian.dtype)
-        return jnp.where(use, hessian, zero), jnp.where(use, by_numbers, zero), jnp.where(use, by_pixel, zero)
+        return jnp.where(use, hessian, zero), jnp.where(use, by_parameters, zero), jnp.where(use, by_pixel, zero)
 
-    hessian, by_numbers, by_pixel = jax.vmap(one)(cameras, pixels, used)
+    hessian, by_parameters, by_pixel = jax.vmap(one)(cameras, pixels, used)
     hessian = jnp.where(jnp.any(used), hessian.sum(axis=0), jnp.eye(3, dtype=point.dtype))
-    pull = jnp.concatenate([part.transpose(1, 0, 2).reshape(3, -1) for part in (by_numbers, by_pixel)], axis=1)
+    pull = jnp.concatenate([part.transpose(1, 0, 2).reshape(3, -1) for part in (by_parameters, by_pixel)], axis=1)
     moved = -jnp.linalg.solve(hessian, pull)
-    size = by_numbers.shape[0] * by_numbers.shape[2]
+    size = by_parameters.shape[0] * by_parameters.shape[2]
     return moved[:, :size], moved[:, size:]
 
 
-def _by_numbers(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M p"]:
+def _by_parameters(function: Callable[[Camera], Float[Array, " M"]], camera: Camera) -> Float[Array, "M p"]:
     """Derivative by the parameters of a camera, in the order of `Camera.perturbed`."""
     return jax.jacfwd(lambda change: function(camera.perturbed(change)))(jnp.zeros(camera.size, camera.focal.dtype))
 

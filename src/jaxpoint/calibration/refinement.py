@@ -23,16 +23,27 @@ from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.parameters import adjusted_lenses, chosen_coefficients
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.tracks import Tracks
 
 FIRST_LENS = "radial2"  # the setting under which `auto` begins
 
 
 def first_choice(settings: CalibrateSettings, intrinsics: CameraRig | None) -> str:
-    """The setting of `lens.distortion` under which the first solution is found; known lenses stay of their kind."""
-    choice = FIRST_LENS if settings.lens.distortion == "auto" else settings.lens.distortion
+    """The setting of `lens.distortion` under which the first solution is found; known lenses stay of their kind.
+
+    Raises:
+        UsageError: no lens offers the setting, or the known lenses are of another kind than it asks for.
+    """
+    asked = settings.lens.distortion
+    choice = FIRST_LENS if asked == "auto" else asked
     if intrinsics is None or isinstance(intrinsics.cameras.lens, lens_of_choice(choice)[0]):
         return choice
+    if asked != "auto":
+        raise UsageError(
+            f"The known lenses are of the model '{intrinsics.cameras.lens.name}', but --lens.distortion {asked} asks "
+            "for another; leave it at auto, or calibrate without known lenses."
+        )
     return max(intrinsics.cameras.lens.choices.items(), key=lambda item: len(item[1]))[0]
 
 

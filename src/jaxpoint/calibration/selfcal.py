@@ -64,13 +64,13 @@ def calibrate(
 
     Raises:
         InsufficientDataError: the tracks cannot determine a calibration; the message names camera and remedy.
-        UsageError: `settings.lens.distortion` names no lens.
+        UsageError: `settings.lens.distortion` names no lens, or one of another kind than the known ones.
         ValueError: known intrinsics of another number of cameras than the tracks have.
     """
     settings = settings or CalibrateSettings()
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
-    lens_of_choice(first_choice(settings, intrinsics))  # refuses an unknown lens before anything is computed
+    lens_of_choice(first_choice(settings, intrinsics))  # refuses a wrong setting before anything is computed
     with jax.enable_x64(True):
         tracks = with_stated_aspects(tracks, settings.lens)
         return _consistent(tracks, settings, intrinsics, progress or _silent)

@@ -1,6 +1,7 @@
 """How cameras see places: derivatives of the pixels, and whether a place is in view at all.
 
-Plain numpy: these answer one question about one rig, and compiling a program would take longer than the answer.
+Numpy but for the range of the lenses: these answer one question about one rig, and compiling a program would take
+longer than the answer.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from jaxtyping import Bool, Float
 from jaxpoint.calibration.bundle import CameraModel
 from jaxpoint.camera.parameters import adjusted_lenses, change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
+
+LEAST_POINTS = 512
 
 
 def poses(rig: CameraRig) -> tuple[Float[np.ndarray, "C 3 3"], Float[np.ndarray, "C 3"]]:
@@ -94,5 +97,8 @@ def project(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Float[np.ndarra
 
 
 def _in_range(rig: CameraRig, points: Float[np.ndarray, "B 3"]) -> Bool[np.ndarray, "B C"]:
+    """Padded to few lengths: each one is a program, and compiling it takes longer than running it."""
+    padded = np.zeros((max(LEAST_POINTS, 1 << max(len(points) - 1, 0).bit_length()), 3))
+    padded[: len(points)] = points
     with jax.enable_x64(True):
-        return np.asarray(rig.sees(points))
+        return np.asarray(rig.sees(padded))[: len(points)]

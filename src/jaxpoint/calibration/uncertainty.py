@@ -72,7 +72,7 @@ class Uncertainty(eqx.Module):
     @property
     def centre_covariance(self) -> Float[Array, "C 3 3"]:
         """Covariance of every camera's centre."""
-        by_camera = centres_by_numbers(self.rig)
+        by_camera = centres_by_parameters(self.rig)
         return jnp.einsum("cip,cpq,cjq->cij", by_camera, self.own_blocks, by_camera)
 
 
@@ -152,14 +152,14 @@ def uncertainty_of(calibration: Calibration, anchors: Anchors | None = None) -> 
             Without them the gauge is free, in the frame and unit of the rig: shape alone is uncertain.
 
     Raises:
-        UsageError: the calibration does not say which numbers were free (it was read from a file, or made by hand),
+        UsageError: the calibration does not say which parameters were free (it was read from a file, or made by hand),
             or anchors are given for one that was not aligned by a weighted fit of points.
         InsufficientDataError: the observations leave more than a similarity undetermined, or fewer than three anchors
             hold the frame.
     """
     if calibration.freedom is None:
         raise UsageError(
-            "This calibration does not say which of its numbers were free; calibrate again from its tracks."
+            "This calibration does not say which of its parameters were free; calibrate again from its tracks."
         )
     if anchors is not None and (calibration.alignment is None or calibration.alignment.method == "floor"):
         raise UsageError("Anchors belong to a calibration aligned by landmarks or camera centres; align it so first.")
@@ -226,7 +226,7 @@ class Anchoring(NamedTuple):
 class Adjusted(NamedTuple):
     """Covariances in the frame that the anchors hold; NaN where nothing determines the rig."""
 
-    cameras: Float[np.ndarray, "D D"]  # as `bundle` orders the numbers
+    cameras: Float[np.ndarray, "D D"]  # of the adjusted parameters (`camera.parameters`)
     points: Float[np.ndarray, "F 3 3"]
 
 
@@ -311,7 +311,7 @@ def camera_ways(rig: CameraRig) -> Float[np.ndarray, "C p 7"]:
     return ways
 
 
-def centres_by_numbers(rig: CameraRig) -> Float[np.ndarray, "C 3 p"]:
+def centres_by_parameters(rig: CameraRig) -> Float[np.ndarray, "C 3 p"]:
     """The centre is -R^T t: its change with w and dt is -R^T (dt + t x w)."""
     rotation, translation = poses(rig)
     back = -np.swapaxes(rotation, 1, 2)
@@ -383,7 +383,7 @@ def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C p"], anchoring: Ancho
     weights = anchoring.centres[:, None, None]
     ways = point_ways(centres(rig))
     turned = weights * np.swapaxes(ways, 1, 2)
-    of_cameras = np.where(free[:, None, :], turned @ centres_by_numbers(rig), 0.0)
+    of_cameras = np.where(free[:, None, :], turned @ centres_by_parameters(rig), 0.0)
     normal = (turned @ ways).sum(axis=0)
     return _Gauge(of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), np.zeros_like(normal), normal)
 

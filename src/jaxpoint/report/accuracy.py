@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 
 from jaxpoint.calibration.expected import ADDED, Gain, boxes_of, eighths, expected_error, gains
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.uncertainty import centres_by_numbers, variance_px2
+from jaxpoint.calibration.uncertainty import centres_by_parameters, variance_px2
 from jaxpoint.report.advice import Advice
 from jaxpoint.report.summary import Scene, Summary
 from jaxpoint.report.tables import Table
@@ -131,8 +131,8 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
     blocks = np.einsum("cpcq->cpq", covariance.reshape(count, -1, count, calibration.rig.camera_size))
     sigma = np.sqrt(np.maximum(np.einsum("cpp->cp", blocks), 0.0))
     turn = np.eye(3) if aligned else summary.scene.levelling()[0]
-    by_numbers = turn @ centres_by_numbers(calibration.rig)
-    places = np.sqrt(np.maximum(np.einsum("cip,cpq,ciq->ci", by_numbers, blocks, by_numbers), 0.0))
+    by_parameters = turn @ centres_by_parameters(calibration.rig)
+    places = np.sqrt(np.maximum(np.einsum("cip,cpq,ciq->ci", by_parameters, blocks, by_parameters), 0.0))
     turned = np.rad2deg(np.sqrt((sigma[:, :3] ** 2).sum(axis=1)))
     unit = "mm" if aligned else "thousandths"
     rows = []

@@ -60,7 +60,7 @@ def learn_bias(
         loss_rad: scale of the Cauchy loss; None: least squares.
     """
     weights = jnp.ones_like(observed.level) if weights is None else as_float(weights)
-    who = jnp.where(weights > 0, jnp.asarray(who), people)  # whoever is not there is a person apart
+    who = jnp.where(weights > 0, jnp.asarray(who), people)  # gestures without weight belong to a person of their own
     chosen, model, misses = choose(kind, observed, who, people, weights, loss_rad)
     between, within = part_people(misses, who, people)
     spread = fit_spread(misses, jnp.where(weights > 0, 1.0, 0.0))
@@ -161,9 +161,9 @@ def part_people(
 ) -> tuple[Float[Array, "2 2"], Spread]:
     """Covariance of people's offsets (rad^2), and how each one's gestures scatter about the person's own.
 
-    Scatter is told by each gesture against the median of the same person's others, which errs as well: few gestures
-    hardly tell a middle. By as much the middles err of which people's covariance is made. Where nobody pointed twice,
-    all of the misses are called scatter.
+    Scatter is estimated from each gesture against the median of the same person's others. That median has an error too,
+    as few gestures hardly determine it, and so have the medians from which the covariance of people is made. Where
+    nobody pointed twice, all of the misses are called scatter.
 
     Args:
         who: a number that is not below `people` leaves a gesture out.
