@@ -2,8 +2,8 @@
 
 An arm that is held for a second, as six cameras saw it, in a furnished room of 30 objects: held joints with the
 calibration's part of their covariance, the ways of pointing, hits, probabilities of all objects, and the sentence.
-Detection is not in it (`person.py`). Everything is compiled; the median and the 95th percentile of all calls are given, by
-the clock and by the processor time of the process.
+Detection is not in it (`person.py`). Everything is compiled; the median and the 95th percentile of all calls are
+given, by the clock and by the processor time of the process.
 
     python experiments/benchmarks/gesture.py
 """
