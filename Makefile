@@ -15,7 +15,7 @@ demo: $(VENV)/.core
 	$(BIN)/jaxpoint demo --out demo-run --force --open
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --jaxtyping-packages="$(TYPED)"
+	$(BIN)/python -m pytest --numprocesses $(WORKERS) --max-worker-restart 0 --dist loadfile --jaxtyping-packages="$(TYPED)"
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

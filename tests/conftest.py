@@ -24,6 +24,20 @@ hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
+# A compiled program takes some 13 memory maps (measured), and Linux ends a process that wants more than its limit of
+# them: 65530 by default, about 5,000 programs, which one worker of the suite reaches.
+MAPS = Path("/proc/self/maps")
+MAX_MAPS = 20_000
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_programs():
+    """Forgets compiled programs after a file of tests where a process holds many: memory and maps are limited."""
+    yield
+    if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MAX_MAPS:
+        jax.clear_caches()
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of real recordings, named by the environment variable JAXPOINT_DATA."""
