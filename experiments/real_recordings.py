@@ -21,10 +21,14 @@ import tyro
 
 from jaxpoint import calibrate, detect_led, read_tracks
 from jaxpoint.calibration.alignment import align_to_landmarks, umeyama
+from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.result import Calibration
+from jaxpoint.camera.parameters import FOCAL
+from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.calibration import read_camera_array
-from jaxpoint.io.tracks import MOMENTS, read_caliscope_corners
+from jaxpoint.io.tracks import read_caliscope_corners
+from jaxpoint.tracks import Tracks
 
 Row = tuple[str, str, str, str]
 
@@ -125,9 +129,10 @@ def braid(data: Path) -> Iterator[Row]:
 
 
 def charuco(data: Path) -> Iterator[Row]:
-    """Corners as tracks with the published lenses held; the scale comes from the camera centres alone."""
+    """Corners as single points with the published lenses held; then nothing but the board's shape and size."""
     folder = data / "caliscope_charuco4"
-    tracks = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
+    board = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
+    tracks = board.without_targets()
     theirs = read_camera_array(folder / "camera_array.toml").rig
     theirs = theirs.select([theirs.names.index(name) for name in tracks.names])
     for offsets, what in ((False, "lenses held"), (True, "lenses held, `--time-offsets`")):
@@ -142,17 +147,32 @@ def charuco(data: Path) -> Iterator[Row]:
         if found.time_offsets is not None:
             late = " ".join(f"{value:+.3f}" for value in found.time_offsets.frames)
             yield "", "offsets, frames", "-", late
+    yield from _by_the_board(board, theirs)
+
+
+def _by_the_board(board: Tracks, theirs: CameraRig) -> Iterator[Row]:
+    """Lenses, poses and metres from the board's known shape alone."""
+    found = with_covariance(calibrate(board, CalibrateSettings(time_offsets=True)))
+    assert found.camera_covariance is not None
+    name = "caliscope_charuco4, shape of the board, `--time-offsets`"
+    focal, published = (np.asarray(rig.cameras.focal)[:, 0] for rig in (found.rig, theirs))
+    sigmas = np.sqrt(np.diagonal(found.camera_covariance)).reshape(len(focal), -1)[:, FOCAL]
+    shown = " ".join(f"{value:.0f} ± {sigma:.0f}" for value, sigma in zip(focal, sigmas))
+    yield name, "focal lengths, px", " ".join(f"{value:.0f}" for value in published), shown
+    scale = float(umeyama(np.asarray(found.rig.positions), np.asarray(theirs.positions)).scale)
+    yield "", "published size of the rig over ours", "1", f"{scale:.4f}"
+    yield "", "kept, mean error", "2175", kept(found)
 
 
 def board_edges(found: Calibration, scale: float) -> np.ndarray:
     """Lengths (mm) between neighbouring corners; 4 x 3 inner corners, numbered by rows of three."""
-    ids = found.tracks.frame_ids.tolist()
+    ids = zip(np.asarray(found.tracks.point_ids).tolist(), found.tracks.frame_ids.tolist())
     points = {i: point for i, point, ok in zip(ids, found.points, found.point_valid) if ok}
     lengths = []
-    for corner, point in points.items():
-        for step in ([1] if corner // MOMENTS % 3 < 2 else []) + [3]:
-            if corner + step * MOMENTS in points:
-                lengths.append(np.linalg.norm(point - points[corner + step * MOMENTS]))
+    for (corner, frame), point in points.items():
+        for neighbour in ([corner + 1] if corner % 3 < 2 else []) + [corner + 3]:
+            if (neighbour, frame) in points:
+                lengths.append(np.linalg.norm(point - points[neighbour, frame]))
     return 1000.0 * scale * np.array(lengths)
 
 

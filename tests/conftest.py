@@ -1,5 +1,7 @@
 """Shared by all tests: where the real recordings lie, and strict JAX settings."""
 
+import ctypes
+import gc
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,12 @@ from jaxpoint.config import LensSettings
 from jaxpoint.simulate.known import known_in
 from jaxpoint.simulate.rooms import random_room
 
+# Compilation dominates tests: without most optimisations they take less than half the time (measured). With XLA_FLAGS
+# set, to nothing even, programs are compiled as users have them. Processes that tests start inherit it.
+if "XLA_FLAGS" not in os.environ:
+    os.environ["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false"
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+    jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 # `HYPOTHESIS_PROFILE=repeatable` draws the same examples every time; without it each run looks for new ones.
@@ -24,18 +32,20 @@ hypothesis.settings.register_profile("repeatable", derandomize=True)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 
-# A compiled program takes some 13 memory maps (measured), and Linux ends a process that wants more than its limit of
-# them: 65530 by default, about 5,000 programs, which one worker of the suite reaches.
+# A compiled program takes some 13 memory maps and 0.25 MB (measured). Linux ends a process that wants more than its
+# limit of maps, 65530 by default: one worker of the suite would reach it, with 6 GB.
 MAPS = Path("/proc/self/maps")
-MAX_MAPS = 20_000
+MAX_MAPS = 8_000
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _few_programs():
-    """Forgets compiled programs after a file of tests where a process holds many: memory and maps are limited."""
+    """Forgets compiled programs after a file of tests where a process holds many, and gives their memory back."""
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MAX_MAPS:
         jax.clear_caches()
+        gc.collect()
+        getattr(ctypes.CDLL(None), "malloc_trim", int)(0)
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ LAYERS = (
     ("config",),
     ("geometry",),
     ("camera",),
-    ("tracks",),
+    ("tracks", "targets"),
     ("epipolar", "motion", "repeats", "triangulation"),
     ("calibration", "tracking"),
     ("pointing",),

@@ -19,6 +19,7 @@ from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.shapes import unregister
+from jaxpoint.tracks import Tracks
 
 ROOT = Path(__file__).parents[1]
 PAGES = {
@@ -76,7 +77,7 @@ def test_the_readme_is_short():
 def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
-    run |= {("docs/extend.md", 0), ("docs/extend.md", 1)}
+    run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2)}
     imported = {("docs/guides/uncertainty.md", 0), ("docs/guides/clusters.md", 0)}  # by tests/test_public.py
     assert shown == run | imported
 
@@ -160,6 +161,15 @@ def test_the_shape_shown_is_met():
         assert not hits.valid[1]
     finally:
         unregister("post")
+
+
+def test_the_target_shown_joins_a_light():
+    names: dict = {}
+    exec(blocks("docs/extend.md", "python")[2], names)
+    light = Tracks.from_pixels(np.full((4, 2, 2), 5.0), np.array([[640, 480], [640, 480]]))
+    both = names["with_cube"](light, np.full((8, 2, 2), 7.0), np.zeros(8, int), np.arange(8))
+    assert both.frames == 12
+    assert both.targets[0].freedoms == 6
 
 
 def test_the_calibration_shown_can_be_read(tmp_path):

@@ -1,5 +1,6 @@
 # Observations
-from .tracks import Tracks as Tracks
+from .tracks import PointPrior as PointPrior, Tracks as Tracks, join_tracks as join_tracks
+from .targets import Target as Target
 from .io.tracks import read_tracks as read_tracks
 from .detect.led import detect_led as detect_led
 from .config import LedSettings as LedSettings

@@ -106,7 +106,7 @@ def _places(
     """Places by name, why others have none, and warnings."""
     with jax.enable_x64(True):
         centres = dict(zip(calibration.rig.names, np.asarray(calibration.rig.positions)))
-    rows = {str(frame): i for i, frame in enumerate(calibration.tracks.frame_ids)}
+    rows = calibration.tracks.rows_by_name()
     places: dict[str, np.ndarray] = {}
     missing: dict[str, str] = {}
     warnings: tuple[str, ...] = ()

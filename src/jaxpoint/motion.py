@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.tracks import Tracks
+from jaxpoint.tracks import SERIES, Tracks
 
 REACH = 4  # frames to either side from which the motion at a frame is taken,
 SIDE = 3  # but from no more than these nearest ones
@@ -129,8 +129,14 @@ def _distance_from_neighbours(pixels, visible, frame_ids) -> Float[np.ndarray, "
 
 
 def frame_step(frame_ids: Int[np.ndarray, " F"]) -> float:
-    """Frames of the recording from one row of the tracks to the next, as a rule."""
-    return float(np.median(np.diff(frame_ids))) if len(frame_ids) > 1 else 1.0
+    """Frames of the recording from one row of the tracks to the next of the same point, as a rule.
+
+    Args:
+        frame_ids: `Tracks.series_ids`.
+    """
+    steps = np.diff(frame_ids)
+    steps = steps[steps < SERIES // 2]
+    return float(np.median(steps)) if len(steps) else 1.0
 
 
 @dataclass(frozen=True)
@@ -146,15 +152,7 @@ class OnClock:
 
     def applied(self, tracks: Tracks) -> Tracks:
         """The tracks on the common clock."""
-        return Tracks(
-            self.pixels,
-            self.visible,
-            tracks.image_sizes,
-            tracks.frame_ids,
-            tracks.times,
-            tracks.names,
-            tracks.pixel_aspects,
-        )
+        return replace(tracks, pixels=self.pixels, visible=self.visible)
 
     def back(self, values: Bool[np.ndarray, "F C"]) -> Bool[np.ndarray, "F C"]:
         """What holds for a pixel on the common clock, written at the camera's own frame; False where none was used."""
@@ -174,18 +172,19 @@ def on_clock(
 
     Args:
         moving: of the tracks.
-        offsets: frames by which each camera shows the light late, at the first frame of the tracks.
+        offsets: frames by which each camera shows a point late, at the first frame of the tracks.
         rates: frames of each camera to one of the common clock; 1 each where they are not given.
     """
-    ids, first = tracks.frame_ids.astype(float), float(tracks.frame_ids[0])
+    ids = tracks.series_ids.astype(float)
+    elapsed = (tracks.frame_ids - tracks.frame_ids.min(initial=0)).astype(float)
     rates = np.ones(tracks.cameras) if rates is None else rates
     # An exact shift where the rate is 1, so that a whole number of frames is a matter of rows alone.
-    wanted = ids[:, None] + offsets + (rates - 1.0) * (ids - first)[:, None]
+    wanted = ids[:, None] + offsets + (rates - 1.0) * elapsed[:, None]
     after = np.clip(np.searchsorted(ids, wanted), 1, len(ids) - 1)
     rows = np.where(wanted - ids[after - 1] <= ids[after] - wanted, after - 1, after)
     ahead = wanted - ids[rows]
     every = np.arange(tracks.cameras)[None]
-    near = np.abs(ahead) <= 0.5 * frame_step(tracks.frame_ids) + 1e-9
+    near = np.abs(ahead) <= 0.5 * frame_step(tracks.series_ids) + 1e-9
     visible = tracks.visible[rows, every] & near & (moving.gain(rows, ahead) <= MAX_GAIN)
     velocity, bend = moving.velocity[rows, every], moving.acceleration[rows, every]
     by = ahead[..., None]
@@ -213,4 +212,4 @@ def moved_to_clock(
         usable: observations from which the motion is taken; all where it is not given.
     """
     usable = tracks.visible if usable is None else usable
-    return on_clock(tracks, motion(tracks.pixels, usable, tracks.frame_ids), offsets, rates).applied(tracks)
+    return on_clock(tracks, motion(tracks.pixels, usable, tracks.series_ids), offsets, rates).applied(tracks)

@@ -7,7 +7,7 @@ is whole frames off. Brought to one clock by moving it fractions of a frame, hal
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -46,7 +46,7 @@ def regular_steps(tracks: Tracks, camera: int, usable: Bool[np.ndarray, "F C"], 
         usable: observations that are no outliers.
     """
     slope = 1.0 / rate - 1.0  # of the camera's frames over the rows: positive where frames are skipped
-    step = frame_step(tracks.frame_ids)
+    step = frame_step(tracks.series_ids)
     even = len(tracks.frame_ids) > 8 and bool((np.diff(tracks.frame_ids) == step).all())
     if not even or not 0 < abs(slope) < 0.2 or abs(slope) * tracks.frames < SURPLUS:
         return None
@@ -112,12 +112,4 @@ def without_steps(tracks: Tracks, camera: int, steps: Steps) -> Tracks:
     pixels[:, camera], visible[:, camera] = 0.0, False
     pixels[places[first], camera] = tracks.pixels[first, camera]
     visible[places[first], camera] = tracks.visible[first, camera]
-    return Tracks(
-        pixels,
-        visible,
-        tracks.image_sizes,
-        tracks.frame_ids,
-        tracks.times,
-        tracks.names,
-        tracks.pixel_aspects,
-    )
+    return replace(tracks, pixels=pixels, visible=visible)

@@ -1,21 +1,35 @@
-"""Tracks: where each camera saw the light, frame by frame."""
+"""Tracks: where each camera saw which point, frame by frame."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.errors import InsufficientDataError
+from jaxpoint.targets import Target
+
+NO_TARGET = -1
+SERIES = 2**40  # from one point's frames to the next one's in `series_ids`: more than any recording has
+
+
+class PointPrior(eqx.Module):
+    """Where the points of some rows are known to lie, in the frame of the room."""
+
+    points: Float[np.ndarray, "F 3"]  # m
+    sigmas: Float[np.ndarray, " F"]  # m, standard deviation of each coordinate; infinite where nothing is known
 
 
 class Tracks(eqx.Module):
-    """Pixels of one moving light in C cameras over F frames.
+    """Pixels of points in C cameras: each of the F rows is one physical point at one time.
 
-    A hidden light has `visible` False and pixel (0, 0); NaN never means "missing". Build one with
-    `Tracks.from_pixels`, which accepts NaN and checks everything.
+    A waved light is one point in F frames. The points of a target (a board's corners, a wand's ends) share frames and
+    are told apart by `point_ids`; static points of a room are rows of one frame. A hidden point has `visible` False
+    and pixel (0, 0); NaN never means "missing". Build one with `Tracks.from_pixels`, which accepts NaN and checks
+    everything; put several together with `join_tracks`.
     """
 
     pixels: Float[np.ndarray, "F C 2"]  # px, (0, 0) is the centre of the top-left pixel
@@ -25,6 +39,10 @@ class Tracks(eqx.Module):
     times: Float[np.ndarray, " F"] | None = None  # s
     names: tuple[str, ...] = eqx.field(static=True, default=())
     pixel_aspects: Float[np.ndarray, " C"] | None = None  # width over height of a pixel, as the videos state it
+    point_ids: Int[np.ndarray, " F"] | None = None  # which point; of a target its index there. None: all are one light
+    target_ids: Int[np.ndarray, " F"] | None = None  # index into `targets`, -1 for points of none
+    targets: tuple[Target, ...] = eqx.field(static=True, default=())
+    prior: PointPrior | None = None
 
     @staticmethod
     def from_pixels(
@@ -35,11 +53,20 @@ class Tracks(eqx.Module):
         times: Float[np.ndarray, " F"] | None = None,
         names: Sequence[str] = (),
         pixel_aspects: Float[np.ndarray, " C"] | None = None,
+        point_ids: Int[np.ndarray, " F"] | None = None,
+        target: Target | None = None,
+        prior: PointPrior | None = None,
     ) -> Tracks:
-        """Checked tracks from an array of pixels, NaN (or `visible` False) where the light was not seen.
+        """Checked tracks from an array of pixels, NaN (or `visible` False) where a point was not seen.
+
+        Args:
+            point_ids: where there are several points; rows are then sorted by point and frame.
+            target: the rigid target whose points these are; `point_ids` are indices of its points.
+            prior: where rows are known to lie; these enter the adjustment and hold its frame.
 
         Raises:
-            ValueError: shapes do not fit, an infinite pixel, or a name used twice.
+            ValueError: shapes do not fit, an infinite pixel, a name used twice, a point twice in one frame, or a
+                point id that the target does not have.
         """
         pixels = np.array(pixels, dtype=np.float64)
         if pixels.ndim != 3 or pixels.shape[2] != 2:
@@ -81,7 +108,10 @@ class Tracks(eqx.Module):
                 raise ValueError(
                     f"{cameras} cameras need as many positive pixel aspects, not {pixel_aspects.tolist()}."
                 )
-        return Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
+        plain = Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
+        if point_ids is None and target is None and prior is None:
+            return plain
+        return _with_points(plain, point_ids, target, prior)
 
     @property
     def cameras(self) -> int:
@@ -93,18 +123,46 @@ class Tracks(eqx.Module):
         """Number of frames, F."""
         return self.pixels.shape[0]
 
+    def without_targets(self) -> Tracks:
+        """The same rows, each a point by itself: what is known of shapes is left out."""
+        if self.target_ids is None:
+            return self
+        return replace(self, target_ids=np.full(self.frames, NO_TARGET), targets=())
+
+    @property
+    def series_ids(self) -> Int[np.ndarray, " F"]:
+        """Frame numbers of which neighbours are neighbours in time of one point; `frame_ids` where there is one."""
+        if self.point_ids is None:
+            return self.frame_ids
+        changed = np.diff(self.point_ids) != 0
+        if self.target_ids is not None:
+            changed |= np.diff(self.target_ids) != 0
+        rank = np.concatenate([[0], np.cumsum(changed)])
+        return SERIES * rank + self.frame_ids - self.frame_ids.min(initial=0)
+
+    def rows_by_name(self) -> dict[str, int]:
+        """The row of each frame of the light: the first point that is of no target."""
+        rows = np.arange(self.frames)
+        if self.point_ids is not None and self.target_ids is not None:
+            loose = self.target_ids == NO_TARGET
+            rows = rows[loose & (self.point_ids == self.point_ids[loose].min(initial=0))]
+        return {str(self.frame_ids[row]): int(row) for row in rows}
+
+    def of_one_point(self) -> Tracks:
+        """The tracks of the point that was seen most often, through time."""
+        if self.point_ids is None or self.target_ids is None:
+            return self
+        different, index = np.unique(np.stack([self.target_ids, self.point_ids]), axis=1, return_inverse=True)
+        seen = np.bincount(index.ravel(), self.visible.sum(axis=1), minlength=different.shape[1])
+        return self.select_frames(index.ravel() == seen.argmax())
+
     def select_frames(self, frames: np.ndarray) -> Tracks:
-        """The tracks of some frames only (a bool mask or indices into F)."""
-        times = None if self.times is None else self.times[frames]
-        return Tracks(
-            self.pixels[frames],
-            self.visible[frames],
-            self.image_sizes,
-            self.frame_ids[frames],
-            times,
-            self.names,
-            self.pixel_aspects,
-        )
+        """The tracks of some rows only (a bool mask or indices into F)."""
+        chosen = {name: _chosen(getattr(self, name), frames) for name in ROWS}
+        prior = self.prior
+        if prior is not None:
+            prior = PointPrior(prior.points[frames], prior.sigmas[frames])
+        return replace(self, **chosen, prior=prior)
 
     def select_cameras(self, cameras: Sequence[int]) -> Tracks:
         """The tracks of some cameras only, in the order given.
@@ -115,12 +173,105 @@ class Tracks(eqx.Module):
         index = list(cameras)
         if not index:
             raise InsufficientDataError("No camera is left; keep at least two.")
-        return Tracks(
-            self.pixels[:, index],
-            self.visible[:, index],
-            self.image_sizes[index],
-            self.frame_ids,
-            self.times,
-            tuple(self.names[i] for i in index),
-            None if self.pixel_aspects is None else self.pixel_aspects[index],
+        return replace(
+            self,
+            pixels=self.pixels[:, index],
+            visible=self.visible[:, index],
+            image_sizes=self.image_sizes[index],
+            names=tuple(self.names[i] for i in index),
+            pixel_aspects=_chosen(self.pixel_aspects, index),
         )
+
+
+ROWS = ("pixels", "visible", "frame_ids", "times", "point_ids", "target_ids")  # fields with a leading axis F
+
+
+def _chosen(values: np.ndarray | None, index) -> np.ndarray | None:
+    return None if values is None else values[index]
+
+
+def _with_points(
+    plain: Tracks, point_ids: np.ndarray | None, target: Target | None, prior: PointPrior | None
+) -> Tracks:
+    """Tracks of several points, sorted by point and frame, once it is checked that each row is another one."""
+    points = np.zeros(plain.frames, np.int64) if point_ids is None else np.asarray(point_ids).astype(np.int64)
+    if points.shape != (plain.frames,):
+        raise ValueError(f"`point_ids` has shape {points.shape}, but there are {plain.frames} rows.")
+    if target is not None and ((points < 0) | (points >= len(target.points))).any():
+        wrong = points[(points < 0) | (points >= len(target.points))][0]
+        raise ValueError(
+            f"Target '{target.name}' has points 0 to {len(target.points) - 1}, but a row has point {wrong}."
+        )
+    if prior is not None:
+        _check_prior(prior, plain.frames)
+    rows = np.stack([points, plain.frame_ids], axis=1)
+    different, count = np.unique(rows, axis=0, return_counts=True)
+    if (count > 1).any():
+        point, frame = different[count > 1][0]
+        raise ValueError(f"Point {point} has two rows in frame {frame}; keep one of them.")
+    targets = () if target is None else (target,)
+    ids = np.full(plain.frames, NO_TARGET if target is None else 0)
+    whole = replace(plain, point_ids=points, target_ids=ids, targets=targets, prior=prior)
+    return whole.select_frames(np.lexsort((plain.frame_ids, points)))
+
+
+def _check_prior(prior: PointPrior, rows: int) -> None:
+    if prior.points.shape != (rows, 3) or prior.sigmas.shape != (rows,):
+        raise ValueError(
+            f"The prior has shapes {prior.points.shape} and {prior.sigmas.shape}, but {rows} rows need {(rows, 3)} and "
+            f"{(rows,)}."
+        )
+    known = np.isfinite(prior.sigmas)
+    if not (prior.sigmas > 0).all() or not np.isfinite(prior.points[known]).all():
+        raise ValueError("A prior needs positive sigmas (infinite where nothing is known), and finite points.")
+
+
+def join_tracks(*parts: Tracks) -> Tracks:
+    """Several tracks of the same cameras as one: a light and a board, say, or two wands.
+
+    Points without a target are told apart by their ids: where two parts use the same ones, the later part's are raised.
+
+    Raises:
+        ValueError: the cameras differ.
+    """
+    first = parts[0]
+    for part in parts[1:]:
+        if part.names != first.names or (part.image_sizes != first.image_sizes).any():
+            raise ValueError(
+                f"Tracks of the same cameras can be joined, not of {list(first.names)} and {list(part.names)}."
+            )
+    targets = tuple(target for part in parts for target in part.targets)
+    if len({target.name for target in targets}) < len(targets):
+        raise ValueError(f"Targets need different names, not {[target.name for target in targets]}.")
+    joined = {
+        name: np.concatenate([getattr(part, name) for part in parts]) for name in ("pixels", "visible", "frame_ids")
+    }
+    points, owners = _joined_ids(parts)
+    known_times = [part.times for part in parts if part.times is not None]
+    times = np.concatenate(known_times) if len(known_times) == len(parts) else None
+    prior = None
+    if any(part.prior is not None for part in parts):
+        known = [part.prior or _no_prior(part.frames) for part in parts]
+        prior = PointPrior(*(np.concatenate([getattr(one, name) for one in known]) for name in ("points", "sigmas")))
+    whole = replace(first, **joined, times=times, point_ids=points, target_ids=owners, targets=targets, prior=prior)
+    return whole.select_frames(np.lexsort((whole.frame_ids, points, owners)))
+
+
+def _no_prior(rows: int) -> PointPrior:
+    return PointPrior(np.zeros((rows, 3)), np.full(rows, np.inf))
+
+
+def _joined_ids(parts: Sequence[Tracks]) -> tuple[np.ndarray, np.ndarray]:
+    """Point and target of each row; points of no target get ids that no earlier part has."""
+    points, owners, free, before = [], [], 0, 0
+    for part in parts:
+        own = np.zeros(part.frames, np.int64) if part.point_ids is None else part.point_ids.copy()
+        owner = np.full(part.frames, NO_TARGET) if part.target_ids is None else part.target_ids.copy()
+        loose = owner == NO_TARGET
+        own[loose] += free
+        free = max(free, int(own[loose].max(initial=-1)) + 1)
+        owner[~loose] += before
+        before += len(part.targets)
+        points.append(own)
+        owners.append(owner)
+    return np.concatenate(points), np.concatenate(owners)

@@ -7,6 +7,8 @@ from scipy.sparse import lil_matrix
 from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.calibration import read_camera_array
@@ -165,7 +167,8 @@ def test_arctic4_is_at_the_optimum_that_scipy_finds(data_folder, distortion, off
 def charuco(request, data_folder):
     """Corners of a moving board as if each were a light, lenses as published and held; and the published rig."""
     folder = data_folder / "caliscope_charuco4"
-    tracks = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
+    board = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
+    tracks = board.without_targets()
     theirs = read_camera_array(folder / "camera_array.toml").rig
     theirs = theirs.select([theirs.names.index(name) for name in tracks.names])
     settings = CalibrateSettings(lens=LensSettings(known="hold"), time_offsets=request.param)
@@ -174,17 +177,31 @@ def charuco(request, data_folder):
 
 def board_edges(calibration, scale):
     """Lengths (mm) of all edges of the board whose two corners were found; 4 x 3 inner corners, numbered by rows."""
-    points = {
-        int(i): p for i, p, ok in zip(calibration.tracks.frame_ids, calibration.points, calibration.point_valid) if ok
-    }
+    ids = zip(calibration.tracks.point_ids.tolist(), calibration.tracks.frame_ids.tolist())
+    points = {i: p for i, p, ok in zip(ids, calibration.points, calibration.point_valid) if ok}
     lengths = []
-    for corner, point in points.items():
-        key, moment = divmod(corner, 1_000_000)
-        for neighbour in ([key + 1] if key % 3 < 2 else []) + [key + 3]:
-            other = points.get(neighbour * 1_000_000 + moment)
+    for (corner, frame), point in points.items():
+        for neighbour in ([corner + 1] if corner % 3 < 2 else []) + [corner + 3]:
+            other = points.get((neighbour, frame))
             if other is not None:
                 lengths.append(np.linalg.norm(point - other))
     return 1000.0 * scale * np.array(lengths)
+
+
+def test_the_shape_of_a_board_alone_gives_lenses_and_metres(data_folder):
+    """Against what its makers' calibration, from the same images, has, once the camera that is late is in step."""
+    folder = data_folder / "caliscope_charuco4"
+    board = read_caliscope_corners(folder / "calibration" / "extrinsic" / "CHARUCO" / "xy_CHARUCO.csv")
+    theirs = read_camera_array(folder / "camera_array.toml").rig
+    theirs = theirs.select([theirs.names.index(name) for name in board.names])
+    assert not assess(with_covariance(calibrate(board))).passed
+    found = with_covariance(calibrate(board, CalibrateSettings(time_offsets=True)))
+    assert assess(found).passed
+    assert found.unit == "m"
+    assert found.kept.sum() >= 0.92 * board.visible.sum()
+    focal, published = (np.asarray(rig.cameras.focal)[:, 0] for rig in (found.rig, theirs))
+    assert np.abs(focal / published - 1.0).max() < 0.025
+    assert abs(float(umeyama(np.asarray(found.rig.positions), np.asarray(theirs.positions)).scale) - 1.0) < 0.015
 
 
 def test_charuco_board_measures_what_it_is(charuco):

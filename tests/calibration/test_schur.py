@@ -290,7 +290,7 @@ def test_points_that_nobody_sees_stay_finite():
     problem, start = dense_problem()
     weights = problem.weights.at[0, :, 0].set(0.0).at[0, 1:, 1].set(0.0)  # nobody, and one camera only
     problem = eqx.tree_at(lambda p: p.weights, problem, weights)
-    points = jax.jit(lambda y, p: solve_points(MODEL, y, p, 8))(start, problem)
+    points = jax.jit(lambda y, p: solve_points(MODEL, y, p, 8))(start, problem).points
     assert np.isfinite(points).all()
     np.testing.assert_array_equal(points[0, :, 0], start.points[0, :, 0])
     end = run(STRUCTURED, start, problem, 200)

@@ -48,7 +48,8 @@ def test_the_maps_are_the_expected_error_in_mm(stated, accuracy):
 
 def test_an_unaligned_room_has_the_same_accuracy_turned_upright(stated, accuracy):
     """The error has no direction: turning the frame does not change it."""
-    found = accuracy_of(replace(stated, unit="arbitrary", alignment=None), summarise(replace(stated, unit="arbitrary")))
+    unaligned = replace(stated, unit="arbitrary", alignment=None)
+    found = accuracy_of(unaligned, summarise(unaligned))
     assert found.unit == "thousandths of the solver's unit"
     assert found.mean == pytest.approx(accuracy.mean, rel=0.1)
     assert found.planes[0].title.startswith("Low")

@@ -25,6 +25,7 @@ from .result import (
     Calibration as Calibration,
     Finding as Finding,
     PairTable as PairTable,
+    Hold as Hold,
     Stage as Stage,
     TimeOffsets as TimeOffsets,
     Verdict as Verdict,

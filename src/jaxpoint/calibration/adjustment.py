@@ -1,4 +1,7 @@
-"""What one adjustment is: the unknowns, the data, and the model that says what one residual is."""
+"""What one adjustment is: the unknowns, the data, and the model that says what one residual is.
+
+Points pass in NB blocks of B. Where targets of known shape were seen, their poses are unknowns beside the points.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,30 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
+from jaxpoint.calibration.eliminated import Poses
+
 
 class Unknowns(eqx.Module):
-    """What is solved for: p parameters of a camera and 3 coordinates of a point, points in NB blocks of B."""
+    """What is solved for: p parameters of a camera, 3 coordinates of a point, and the poses of each target."""
 
     cameras: Float[Array, "C p"]
     points: Float[Array, "NB 3 B"]
+    poses: tuple[Float[Array, "_ 12 _"], ...] = ()  # of each target in blocks of its own, see `eliminated.POSE`
+
+
+class SeenTarget(eqx.Module):
+    """What was seen of one target of K points, in MB blocks of M poses; N = K M, point by point, then pose by pose."""
+
+    shape: Float[Array, "K 3"]
+    pixels: Float[Array, "MB C q N"]
+    weights: Float[Array, "MB C N"]
+
+
+class PointPriors(eqx.Module):
+    """Where points are known to lie."""
+
+    mean: Float[Array, "NB 3 B"]
+    weight: Float[Array, "NB B"]  # 1 / sigma^2 of each coordinate, in px^2 as the residuals; 0 for none
 
 
 class Problem(eqx.Module):
@@ -28,6 +49,8 @@ class Problem(eqx.Module):
     prior_weight: Float[Array, "C p"]  # 1 / sigma^2; 0 for none
     loss_scale: Float[Array, ""]  # Cauchy scale in units of the residual; a huge one gives least squares
     step_limit: Int[Array, ""]  # stop after this many steps, without recompiling
+    point_priors: PointPriors | None = None
+    targets: tuple[SeenTarget, ...] = ()  # those whose poses are unknowns
 
 
 class AbstractModel(eqx.Module):
@@ -67,14 +90,24 @@ class AbstractModel(eqx.Module):
     def residuals(self, y: Unknowns, problem: Problem) -> PyTree[Array]:
         """Robust residuals whose sum of squares is the robust cost, then those of the priors."""
         state = self.state(y.cameras, problem.constants)
-        raw = _over_blocks(self._block_residuals, state, y.points, problem.pixels)
+        seen = [(y.points, problem.pixels, problem.weights)]
+        for poses, target in zip(y.poses, problem.targets):
+            seen.append((jax.vmap(Poses(target.shape).places)(poses), target.pixels, target.weights))
+        observed = tuple(self._robust(state, problem.loss_scale, *group) for group in seen)
+        prior = jnp.sqrt(problem.prior_weight) * (y.cameras - problem.prior_mean)
+        known = problem.point_priors
+        more = () if known is None else (jnp.sqrt(known.weight)[:, None] * (y.points - known.mean),)
+        return (*observed, prior, *more)
+
+    def _robust(self, state, loss_scale, points, pixels, weights) -> Float[Array, "NB C r B"]:
+        raw = _over_blocks(self._block_residuals, state, points, pixels)
         square = (raw**2).sum(axis=2)
-        scale2 = problem.loss_scale**2
+        scale2 = loss_scale**2
         loss = scale2 * jnp.log1p(square / scale2)
         safe = jnp.where(square > 0, square, 1.0)
-        shrink = jnp.sqrt(problem.weights * jnp.where(square > 0, loss / safe, 1.0))
-        prior = jnp.sqrt(problem.prior_weight) * (y.cameras - problem.prior_mean)
-        return raw * shrink[:, :, None], prior
+        shrink = weights * jnp.where(square > 0, loss / safe, 1.0)
+        root = jnp.where(shrink > 0, jnp.sqrt(jnp.where(shrink > 0, shrink, 1.0)), 0.0)
+        return raw * root[:, :, None]
 
     def columns(
         self, state: PyTree[Array], point: Float[Array, "3"], pixel: Float[Array, " q"]

@@ -240,7 +240,8 @@ def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibrati
     """The calibration in the room: P' = P S^-1, points S X, unit m; every pixel stays where it was.
 
     The covariance of the cameras is mapped along, the alignment taken as exact; one that is not in the order of
-    `Camera.perturbed` is dropped, with a warning in the alignment.
+    `Camera.perturbed` is dropped, with a warning in the alignment. The scale is the alignment's from then on, not that
+    of targets.
     """
     similarity, covariance = alignment.similarity, calibration.camera_covariance
     with jax.enable_x64(True):
@@ -260,6 +261,7 @@ def apply_alignment(calibration: Calibration, alignment: Alignment) -> Calibrati
         unit="m",
         alignment=alignment,
         camera_covariance=covariance,
+        hold=None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -83,6 +84,4 @@ def with_stated_aspects(tracks: Tracks, lens: LensSettings) -> Tracks:
         aspects = None
     else:
         aspects = tracks.pixel_aspects
-    return Tracks(
-        tracks.pixels, tracks.visible, tracks.image_sizes, tracks.frame_ids, tracks.times, tracks.names, aspects
-    )
+    return replace(tracks, pixel_aspects=aspects)

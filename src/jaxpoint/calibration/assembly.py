@@ -6,9 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from jaxpoint.calibration.bodies import held_rows
+from jaxpoint.calibration.hold import hold_of, is_metric
 from jaxpoint.calibration.outliers import Settled
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Calibration, PairTable, Verdict
+from jaxpoint.calibration.target_blocks import moved_poses
 from jaxpoint.camera.parameters import rig_of_parameters
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
@@ -29,6 +32,8 @@ def assembled(
 ) -> Calibration:
     """The calibration, with the origin amid the light's path and the cameras about 1 apart.
 
+    With targets in metres, or in the room's frame, lengths (and in the room the frame) stay as they are.
+
     Args:
         explained: inliers over the observations on which pairs of cameras agree.
     """
@@ -37,8 +42,9 @@ def assembled(
     pixels, _ = project(state)
     verdicts = settled.judged.verdicts[:frames, :cameras]
     known = (settled.judged.errors > 0)[:frames, :cameras]
-    valid = (verdicts == Verdict.KEPT).sum(axis=1) >= 2
-    parts = (freedom.free, freedom.prior_mean, freedom.prior_weight)
+    views = (verdicts == Verdict.KEPT).sum(axis=1)
+    valid = (views >= 2) | (held_rows(recording, state)[:frames] & (views >= 1))
+    free, mean, weight = (part[:cameras] for part in (freedom.free, freedom.prior_mean, freedom.prior_weight))
     return Calibration(
         rig=rig_of(state, tracks),
         tracks=tracks,
@@ -51,8 +57,10 @@ def assembled(
         message=_message(settled, explained),
         pairs=pairs,
         seed=settings.seed,
-        freedom=Freedom(*(part[:cameras] for part in parts)),
+        freedom=Freedom(free, mean, weight),
         loss_scale=2.0 * settled.sigma_px if settings.outliers.loss == "cauchy" else None,
+        hold=hold_of(recording, state),
+        unit="m" if is_metric(recording, state) else "arbitrary",
     )
 
 
@@ -69,14 +77,20 @@ def _message(settled: Settled, explained: float) -> str:
 
 
 def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
-    """The same rig with the origin amid the light's path and the cameras 1 from their middle (root mean square)."""
+    """The same rig with the origin amid the light's path and the cameras 1 from their middle (root mean square).
+
+    What targets or known points hold stays: the scale, or the whole frame.
+    """
+    if state.anchored:
+        return state
     placed = state.points[kept.sum(axis=1) >= 2]
     middle = np.median(placed, axis=0) if len(placed) else np.zeros(3)
     positions = state.positions[:cameras]
-    length = np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean())
+    length = 1.0 if state.poses else np.sqrt(((positions - positions.mean(axis=0)) ** 2).sum(axis=1).mean())
     numbers = state.cameras.copy()
     numbers[:, 3:6] = (numbers[:, 3:6] + np.einsum("cij,j->ci", state.rotation, middle)) / length
-    return replace(state, cameras=numbers, points=(state.points - middle) / length)
+    poses = tuple(moved_poses(part, 1.0, np.eye(3), -middle) for part in state.poses)
+    return replace(state, cameras=numbers, points=(state.points - middle) / length, poses=poses)
 
 
 def rig_of(state: RigState, tracks: Tracks) -> CameraRig:

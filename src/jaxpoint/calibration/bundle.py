@@ -89,6 +89,7 @@ class Adjusted(eqx.Module):
 
     cameras: Float[Array, "C p"]
     points: Float[Array, "NB 3 B"]
+    poses: tuple[Float[Array, "_ 12 _"], ...]  # of each target
     cost: Float[Array, ""]
     steps: Array
     settled: Array  # False where the step limit came first
@@ -101,7 +102,7 @@ def solved(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -
         solver.model.residuals, solver, start, args=problem, options=options, max_steps=500, throw=False
     )
     value, stats = solution.value, solution.stats
-    return Adjusted(value.cameras, value.points, stats["cost"], stats["num_steps"], stats["settled"])
+    return Adjusted(value.cameras, value.points, value.poses, stats["cost"], stats["num_steps"], stats["settled"])
 
 
 solve = jit(solved)

@@ -8,14 +8,16 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.contradiction import LEAST_KEPT, kept_shares
-from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, NormalEquations
+from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, NormalEquations, Step
 from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.camera.parameters import FOCAL
 from jaxpoint.config import CalibrateSettings
 
 STRETCHES = 10  # equal parts of the recording
 DEAD, ALIVE = 0.3, 0.85  # kept in a stretch: the camera does not fit there, it does elsewhere
 FEWEST = 15  # observations of a stretch that tell something
 SURE = 6.0  # sigmas of a time offset (cameras in step come to 4, simulated or real)
+FOCAL_SIGMAS, FOCAL_CHANGE = 3.0, 0.02  # by which a focal length would change: then the clocks have spoilt it
 NOTABLE, LARGE = 0.1, 0.5  # frames: worth a word, and no longer a calibration (residuals give lower bounds)
 
 
@@ -45,8 +47,8 @@ def _kept(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Fin
 
 def _stretches(calibration: Calibration) -> Iterator[Finding]:
     """Cameras that fit for one part of the recording only."""
-    frames = calibration.tracks.frames
-    part = np.minimum(np.arange(frames) * STRETCHES // max(frames, 1), STRETCHES - 1)
+    different, rank = np.unique(calibration.tracks.frame_ids, return_inverse=True)
+    part = rank.ravel() * STRETCHES // max(len(different), 1)
     for camera, name in enumerate(calibration.tracks.names):
         tested, kept = calibration.comparable[:, camera], calibration.kept[:, camera]
         count = np.bincount(part[tested], minlength=STRETCHES)
@@ -57,11 +59,11 @@ def _stretches(calibration: Calibration) -> Iterator[Finding]:
         if not dead.any() or not alive.any() or np.median(share[alive]) < ALIVE:
             continue
         rows = np.flatnonzero(np.isin(part, np.flatnonzero(dead)))
-        ids = calibration.tracks.frame_ids
+        ids = calibration.tracks.frame_ids[rows]
         yield Finding(
             "camera moved",
             "bad" if dead.sum() >= 2 else "care",
-            f"Camera {name} fits no other between frames {ids[rows[0]]} and {ids[rows[-1]]}, and does elsewhere: it "
+            f"Camera {name} fits no other between frames {ids.min()} and {ids.max()}, and does elsewhere: it "
             "was moved, or its recording was interrupted.",
             f"Leave out that part of the recording, or camera {name} (--leave-out {name})",
             (name,),
@@ -81,7 +83,13 @@ def _clocks(calibration: Calibration, normal: NormalEquations) -> Iterator[Findi
         sure = (np.abs(values) > SURE * sigmas) & (np.abs(values) > NOTABLE)
         if sure.any() and column not in solved:
             worst = int(np.where(sure, np.abs(values), 0.0).argmax())
-            yield _late(calibration.tracks.names[worst], column, float(values[worst]))
+            yield _late(calibration.tracks.names[worst], column, float(values[worst]), _spoils(step))
+
+
+def _spoils(step: Step) -> bool:
+    """Whether focal lengths would come out otherwise with all cameras on one clock."""
+    change, sigmas = np.abs(step.change[:, FOCAL]), step.sigmas[:, FOCAL]
+    return bool(((change > FOCAL_SIGMAS * sigmas) & (change > FOCAL_CHANGE)).any())
 
 
 def against_median(
@@ -92,8 +100,8 @@ def against_median(
     return values - np.median(values), sigmas
 
 
-def _late(name: str, column: int, frames: float) -> Finding:
-    level = "bad" if abs(frames) > LARGE and column != ROWS else "care"
+def _late(name: str, column: int, frames: float, spoils: bool) -> Finding:
+    level = "bad" if (spoils or abs(frames) > LARGE) and column != ROWS else "care"
     if column == ROWS:
         return Finding(
             "rolling shutter",

@@ -28,8 +28,8 @@ class Timing:
         """As tracks have it."""
         seconds = np.diff(tracks.times) if tracks.times is not None else np.zeros(0)
         moving = seconds > 0
-        rate = float(np.median(np.diff(tracks.frame_ids)[moving] / seconds[moving])) if moving.any() else None
-        return Timing(rate, float(tracks.frame_ids[-1] - tracks.frame_ids[0]))
+        rate = float(np.median(np.diff(tracks.series_ids)[moving] / seconds[moving])) if moving.any() else None
+        return Timing(rate, float(np.ptp(tracks.frame_ids)))
 
 
 def contradicts(clock: CameraClock) -> bool:

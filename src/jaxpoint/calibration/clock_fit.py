@@ -84,11 +84,11 @@ class Agreement:
         usable: Bool[np.ndarray, "F C"] | None = None,
     ):
         self.tracks = tracks
-        self.step = frame_step(tracks.frame_ids)
+        self.step = frame_step(tracks.series_ids)
         self.usable = tracks.visible if usable is None else usable
         self._settings = replace(settings, samples=min(settings.samples, SAMPLES))
         self._seed, self._intrinsics = seed, intrinsics
-        self._moving = motion(tracks.pixels, self.usable, tracks.frame_ids)
+        self._moving = motion(tracks.pixels, self.usable, tracks.series_ids)
         self._columns: dict[tuple[int, Clock, bytes], NormalisedTracks] = {}
         self._shares: dict[tuple, Share] = {}
 
@@ -160,15 +160,13 @@ def moving_only(tracks: Tracks) -> tuple[Tracks, Bool[np.ndarray, "F C"]]:
     """The tracks without pixels that stand still, which fit any clock, and which of the others are no outliers."""
     moving = _with_visible(tracks, tracks.visible & ~held_still(tracks.pixels, tracks.visible))
     widths = tracks.image_sizes[:, 0].astype(float)
-    return moving, without_jumps(moving.pixels, moving.visible, tracks.frame_ids, widths)
+    return moving, without_jumps(moving.pixels, moving.visible, tracks.series_ids, widths)
 
 
 def _with_visible(tracks: Tracks, visible: Bool[np.ndarray, "F C"]) -> Tracks:
     """The tracks with fewer observations."""
     pixels = np.where(visible[..., None], tracks.pixels, 0.0)
-    return Tracks(
-        pixels, visible, tracks.image_sizes, tracks.frame_ids, tracks.times, tracks.names, tracks.pixel_aspects
-    )
+    return replace(tracks, pixels=pixels, visible=visible)
 
 
 def _of_camera(moving: Motion, camera: int) -> Motion:

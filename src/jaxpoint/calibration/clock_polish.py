@@ -24,7 +24,7 @@ APART = 0.25  # frames before and after, between which the light's motion is tak
 
 def polish(agreement: Agreement, camera: int, clock: Clock, others: Sequence[tuple[int, Clock]]) -> Clock:
     """The clock near the given one with the least errors; the given one where nothing better is found."""
-    after = (agreement.tracks.frame_ids - agreement.tracks.frame_ids[0]).astype(float)
+    after = (agreement.tracks.frame_ids - agreement.tracks.frame_ids.min()).astype(float)
     best = clock
     for _ in range(ROUNDS):
         changes = np.array([_change(agreement, (camera, best), other, after) for other in others])

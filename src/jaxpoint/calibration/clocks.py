@@ -88,7 +88,7 @@ def survey_clocks(
 def _without_steps(found: ClockSurvey, tracks: Tracks, settings, seed, intrinsics) -> ClockSurvey:
     """The survey, looked at anew without the frames that cameras repeat (or with those that they skip) regularly."""
     steps = {}
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
+    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
     for camera, clock in enumerate(found.clocks):
         if clock.rate != 1.0 and (own := regular_steps(tracks, camera, usable, clock.rate)) is not None:
             steps[camera] = own
@@ -263,11 +263,11 @@ class _Survey:
     def _within(self, one: Candidate):
         if not np.isfinite(one.reach):
             return None
-        return np.abs(self.tracks.frame_ids - self.tracks.frame_ids[0] - one.middle) <= one.reach
+        return np.abs(self.tracks.frame_ids - self.tracks.frame_ids.min() - one.middle) <= one.reach
 
     def _stands_out(self, camera: int, partners, clock: Clock, share: Share, tried: dict[Clock, Share]) -> bool:
         """No other lag comes near it; where few frames overlap chance fits better, and more is asked for."""
-        middle = float(self.tracks.frame_ids[-1] - self.tracks.frame_ids[0]) / 2
+        middle = float(np.ptp(self.tracks.frame_ids)) / 2
         apart = 8.0 * self.agreement.step
         rivals = [other.beyond_chance for one, other in tried.items() if abs(one.at(middle) - clock.at(middle)) > apart]
         few = share.matches < OVERLAP * self._most(camera, partners)
@@ -289,7 +289,7 @@ class _Survey:
 
         Drift is what the offsets in the second half of the recording exceed those in the first half by.
         """
-        after = (self.tracks.frame_ids - self.tracks.frame_ids[0]).astype(float)
+        after = (self.tracks.frame_ids - self.tracks.frame_ids.min()).astype(float)
         halves = [after <= after[-1] / 2, after > after[-1] / 2]
         pairs = [pair for pair in chosen_pairs(self._moved(known), self.least, 1) if set(pair) <= set(known)]
         early, late = (
@@ -346,7 +346,7 @@ class _Survey:
 
     def _against_group(self, clocks: list[Clock]) -> list[Clock]:
         """The clocks against that of the most cameras in step with one another; the first of them is the reference."""
-        span = float(self.tracks.frame_ids[-1] - self.tracks.frame_ids[0])
+        span = float(np.ptp(self.tracks.frame_ids))
         ends = np.array([[clock.at(0.0), clock.at(span)] for clock in clocks])
         near = (np.abs(ends[:, None] - ends[None]) < SLACK * self.agreement.step).all(axis=2)
         zero = clocks[int(near.sum(axis=1).argmax())]

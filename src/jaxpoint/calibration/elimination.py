@@ -1,7 +1,8 @@
-"""The points eliminated from the normal equations, one damped step of all unknowns, and points of cameras that stay.
+"""Points and poses eliminated from the normal equations, a damped step of all unknowns, and points of fixed cameras.
 
-Points pass in blocks under `lax.scan` and the whole Jacobian is never stored. Axes of components come first and the
-block of points last, so that every operation vectorises over points.
+What is eliminated passes in blocks under `lax.scan` and the whole Jacobian is never stored. Axes of components come
+first and the block last, so that every operation vectorises over it. Points of 3 coordinates and poses of 6 go through
+the same code: see `eliminated`.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxpoint.calibration.adjustment import AbstractModel, Problem, Unknowns
+from jaxpoint.calibration.adjustment import AbstractModel, PointPriors, Problem, Unknowns
+from jaxpoint.calibration.eliminated import AbstractEliminated, Points, Poses
 from jaxpoint.geometry.linalg import (
     Symmetric,
     backward_solve,
@@ -23,83 +25,148 @@ from jaxpoint.geometry.linalg import (
     root_solve,
     solve_positive,
     symmetric_root,
+    upper_triangle,
 )
+
+
+class _Group(eqx.Module):
+    """Unknowns of one kind that are eliminated, and what was seen of them; NB blocks, or one of them."""
+
+    kind: AbstractEliminated
+    values: Float[Array, "*NB n B"]
+    pixels: Float[Array, "*NB C q N"]
+    weights: Float[Array, "*NB C N"]
+    priors: PointPriors | None
+
+    def block(self, data: tuple) -> _Group:
+        """One block, from what a scan over `over` gives."""
+        return _Group(self.kind, *data)
+
+    @property
+    def over(self) -> tuple:
+        """What a scan over the blocks takes."""
+        return self.values, self.pixels, self.weights, self.priors
+
+    def at(self, values: Float[Array, "n B"]) -> _Group:
+        """The same observations of other unknowns."""
+        return eqx.tree_at(lambda group: group.values, self, values)
+
+
+def _groups(y: Unknowns, problem: Problem) -> list[_Group]:
+    """The points, then each target's poses."""
+    groups = [_Group(Points(), y.points, *_shown(problem.pixels, problem.weights), problem.point_priors)]
+    for poses, target in zip(y.poses, problem.targets):
+        groups.append(_Group(Poses(target.shape), poses, *_shown(target.pixels, target.weights), None))
+    return groups
+
+
+def _shown(pixels: Float[Array, "NB C q N"], weights: Float[Array, "NB C N"]):
+    """Pixels and weights; what is hidden may be anything, also infinite, and must not reach a product."""
+    return jnp.where(weights[:, :, None] > 0, pixels, 0.0), weights
 
 
 class _Linear(eqx.Module):
     """A block linearised: robustly weighted residuals and derivatives, one entry a residual; zero where hidden."""
 
-    residual: list[Float[Array, "C B"]]
-    for_camera: list[tuple[Float[Array, "C B"], ...]]
-    for_point: list[tuple[Float[Array, "C B"], ...]]
-    costs: Float[Array, " B"]  # the robust cost of each point
+    residual: list[Float[Array, "C N"]]
+    for_camera: list[tuple[Float[Array, "C N"], ...]]
+    by_step: list[tuple[Float[Array, "C N"], ...]]  # of the eliminated unknowns
+    costs: Float[Array, " B"]  # the robust cost of each unknown
 
 
 class _Eliminated(eqx.Module):
-    """What the points' step needs of every block, kept from the elimination; stacked over NB blocks."""
+    """What the step of the eliminated unknowns needs of every block; stacked over NB blocks. e = d (d + 1) / 2."""
 
-    cross: Float[Array, "*NB C m 3 B"]  # times the inverse of the transposed root
-    root: Float[Array, "*NB 6 B"]
-    gradient: Float[Array, "*NB 3 B"]  # times the inverse of the root
-    costs: Float[Array, "*NB B"]  # of every point, before the step
+    cross: Float[Array, "*NB C m d B"]  # times the inverse of the transposed root
+    root: Float[Array, "*NB e B"]
+    gradient: Float[Array, "*NB d B"]  # times the inverse of the root
+    costs: Float[Array, "*NB B"]  # of every unknown, before the step
 
 
 def _prior_cost(cameras, problem: Problem) -> Float[Array, ""]:
     return (problem.prior_weight * (cameras - problem.prior_mean) ** 2).sum()
 
 
-def _point_costs(model, state, loss_scale, points, pixels, weights) -> Float[Array, " B"]:
-    """The robust cost of each point of a block: sum of w rho(|r|^2) over the cameras."""
-    return _summed_loss(model._block_residuals(state, points, pixels), loss_scale, weights)
+def _own_prior(group: _Group) -> tuple[Float[Array, " B"], Float[Array, "3 B"]]:
+    """Weights of the priors of points, and how far these are from them."""
+    assert group.priors is not None
+    return group.priors.weight, group.values - group.priors.mean
 
 
-def _summed_loss(residual: Float[Array, "C r B"], loss_scale, weights: Float[Array, "C B"]) -> Float[Array, " B"]:
+def _costs(model, state, loss_scale, group: _Group) -> Float[Array, " B"]:
+    """The robust cost of each unknown of a block: sum of w rho(|r|^2) over its observations, and its prior."""
+    residual = model._block_residuals(state, group.kind.places(group.values), group.pixels)
     loss = loss_scale**2 * jnp.log1p((residual**2).sum(axis=1) / loss_scale**2)
-    return jnp.where(weights > 0, weights * loss, 0.0).sum(axis=0)
+    costs = group.kind.summed(jnp.where(group.weights > 0, group.weights * loss, 0.0).sum(axis=0))
+    return costs if group.priors is None else costs + _prior_costs(group)
 
 
-def _linearise(model, state, loss_scale, points, pixels, weights) -> _Linear:
-    residual, for_camera, for_point = model._block_columns(state, points, pixels)
-    seen = weights > 0
+def _prior_costs(group: _Group) -> Float[Array, " B"]:
+    weight, off = _own_prior(group)
+    return weight * (off**2).sum(axis=0)
+
+
+def _linearise(model, state, loss_scale, group: _Group) -> _Linear:
+    places = group.kind.places(group.values)
+    residual, for_camera, for_point = model._block_columns(state, places, group.pixels)
+    seen = group.weights > 0
     residual = [jnp.where(seen, value, 0.0) for value in residual]
     square = sum(value**2 for value in residual)
     loss = loss_scale**2 * jnp.log1p(square / loss_scale**2)
     # Weighting alone, without the loss's curvature (Triggs et al. 2000, 4.3): with it, points whose loss is concave
     # along a residual were sent far off and steps failed one after the other (measured on real recordings).
-    root = jnp.sqrt(weights / (1.0 + square / loss_scale**2))
+    root = jnp.sqrt(group.weights / (1.0 + square / loss_scale**2))
+    costs = group.kind.summed((group.weights * loss).sum(axis=0))
 
     return _Linear(
         [value * root for value in residual],
         [tuple(column * root for column in row) for row in for_camera],
-        [tuple(column * root for column in row) for row in for_point],
-        (weights * loss).sum(axis=0),
+        [group.kind.by_step(group.values, tuple(column * root for column in row)) for row in for_point],
+        costs if group.priors is None else costs + _prior_costs(group),
     )
 
 
-def _point_normal(linear: _Linear, damping) -> tuple[Float[Array, "6 B"], Float[Array, "3 B"]]:
-    """Roots of the damped 3 x 3 blocks of a block of points, and their gradients."""
-    by_axis = list(zip(*linear.for_point))
-    xx, xy, xz, yy, yz, zz = _point_blocks(by_axis)
+def _own_normal(linear: _Linear, group: _Group, damping) -> tuple[Float[Array, "e B"], Float[Array, "d B"]]:
+    """Roots of the damped d x d blocks of a block of unknowns, and their gradients."""
+    by_axis = list(zip(*linear.by_step))
+    blocks = _own_blocks(by_axis, group)
     more = 1.0 + damping
-    gradient = [
-        functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(axis, linear.residual)]) for axis in by_axis
+    pairs = upper_triangle(group.kind.size)
+    damped = tuple(block * more if i == j else block for (i, j), block in zip(pairs, blocks))
+    return symmetric_root(damped), _own_gradient(by_axis, linear.residual, group)
+
+
+def _own_gradient(by_axis, residual, group: _Group) -> Float[Array, "d B"]:
+    parts = [functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(axis, residual)]) for axis in by_axis]
+    gradient = jnp.stack([group.kind.summed(part) for part in parts])
+    if group.priors is None:
+        return gradient
+    weight, off = _own_prior(group)
+    return gradient + weight[None] * off
+
+
+def _own_blocks(by_axis, group: _Group) -> Symmetric:
+    """J^T J of the unknowns, from their derivatives axis by axis, and the weights of their priors."""
+    pairs = upper_triangle(group.kind.size)
+    blocks = [
+        functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(by_axis[i], by_axis[j])]) for i, j in pairs
     ]
-    return symmetric_root((xx * more, xy, xz, yy * more, yz, zz * more)), jnp.stack(gradient)
+    blocks = [group.kind.summed(block) for block in blocks]
+    if group.priors is None:
+        return tuple(blocks)
+    return tuple(block + group.priors.weight if i == j else block for (i, j), block in zip(pairs, blocks))
 
 
-def _cross(for_camera, for_point, root) -> Float[Array, "C p n"]:
-    """The cross term times the inverse of the transposed root, the axes of the points one after another.
+def _cross(for_camera, linear: _Linear, group: _Group, root) -> Float[Array, "C p n"]:
+    """The cross term times the inverse of the transposed root, the axes of the unknowns one after another.
 
     The root's inverse goes to the small factor of J_c^T (J_x L^-T), not to the large product.
     """
-    by_axis = zip(*(forward_solve(root[:, None], row) for row in for_point))
-    parts = [sum(a * b[:, None] for a, b in zip(for_camera, axis)) for axis in by_axis]
+    spread = group.kind.spread(root)[:, None]
+    by_axis = zip(*(forward_solve(spread, row) for row in linear.by_step))
+    products = ([a * b[:, None] for a, b in zip(for_camera, axis)] for axis in by_axis)
+    parts = [group.kind.summed(functools.reduce(jnp.add, product)) for product in products]
     return jnp.concatenate(parts, axis=-1)
-
-
-def _observations(problem: Problem) -> tuple[Float[Array, "NB C q B"], Float[Array, "NB C B"]]:
-    """Pixels and weights; what is hidden may be anything, also infinite, and must not reach a product."""
-    return jnp.where(problem.weights[:, :, None] > 0, problem.pixels, 0.0), problem.weights
 
 
 def _total(values, axis: str | None):
@@ -114,32 +181,34 @@ def reduced_system(model, y: Unknowns, problem: Problem, point_damping, axis: st
     """
     state = model.state(y.cameras, problem.constants)
     moving = np.array(model.moving)
-    cameras, size = len(y.cameras), len(moving)
+    cameras, size, dtype = len(y.cameras), len(moving), y.cameras.dtype
     panels = _panels(cameras * size)
 
-    def add(carry, block):
+    def add(group: _Group, carry, block):
         diagonal, gradient, product = carry
-        linear = _linearise(model, state, problem.loss_scale, *block)
-        root, pull = _point_normal(linear, point_damping)
+        group = group.block(block)
+        linear = _linearise(model, state, problem.loss_scale, group)
+        root, pull = _own_normal(linear, group, point_damping)
         for_camera = [jnp.stack([row[i] for i in moving], axis=1) for row in linear.for_camera]
         for own, residual in zip(for_camera, linear.residual):
             diagonal = diagonal + jnp.einsum("cpn,cqn->cpq", own, own)
             gradient = gradient + jnp.einsum("cpn,cn->cp", own, residual)
-        cross, pull = _cross(for_camera, linear.for_point, root), jnp.stack(forward_solve(root, pull))
+        cross, pull = _cross(for_camera, linear, group, root), jnp.stack(forward_solve(root, pull))
         left = cross.reshape(cameras * size, -1)
         gradient = gradient - (left @ pull.reshape(-1)).reshape(cameras, size)
-        cross = cross.reshape(cameras, size, 3, -1)
+        cross = cross.reshape(cameras, size, group.kind.size, -1)
         product = [part + left[rows] @ left[: rows.stop].T for part, rows in zip(product, panels)]
         return (diagonal, gradient, product), _Eliminated(cross, root, pull, linear.costs)
 
-    dtype = y.cameras.dtype
-    start = (
+    sums = (
         jnp.zeros((cameras, size, size), dtype),
         jnp.zeros((cameras, size), dtype),
         [jnp.zeros((rows.stop - rows.start, rows.stop), dtype) for rows in panels],
     )
-    blocks = (y.points, *_observations(problem))
-    sums, kept = jax.lax.scan(add, start, blocks)
+    kept: list[_Eliminated] = []
+    for group in _groups(y, problem):
+        sums, own = jax.lax.scan(functools.partial(add, group), sums, group.over)
+        kept.append(own)
     diagonal, gradient, product = _total(sums, axis)
     product = _mirrored(product)
     free = problem.free[:, moving]
@@ -204,86 +273,85 @@ def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bo
     moved = model.retract(y.cameras, problem.constants, whole)
     state = model.state(moved, problem.constants)
 
-    def update(total, block):
-        points, pixels, weights, eliminated = block
+    def update(group: _Group, total, block):
+        data, eliminated = block
+        group = group.block(data)
+        values = group.values
         if project_points:
-            more = [points + _point_step(model, state, problem.loss_scale, points, pixels, weights, point_damping)]
+            more = [group.kind.moved(values, _own_step(model, state, problem.loss_scale, group, point_damping))]
         else:
             pull = eliminated.gradient + (eliminated.cross * step[:, :, None, None]).sum(axis=(0, 1))
-            trial = points - jnp.stack(backward_solve(eliminated.root, pull))
-            more = [trial, *_polished(model, state, problem.loss_scale, trial, pixels, weights)]
-        trials = jnp.stack([*more, points])
-        costs = jax.vmap(lambda trial: _point_costs(model, state, problem.loss_scale, trial, pixels, weights))(trials)
+            trial = group.kind.moved(values, -jnp.stack(backward_solve(eliminated.root, pull)))
+            more = [trial, *_polished(model, state, problem.loss_scale, group.at(trial))]
+        trials = jnp.stack([*more, values])
+        costs = jax.vmap(lambda trial: _costs(model, state, problem.loss_scale, group.at(trial)))(trials)
         costs = jnp.where(jnp.isnan(costs), jnp.inf, costs)  # NaN never wins
         choices = [jnp.argmin(costs[:-1], axis=0), jnp.argmin(costs, axis=0)]
         gone, safe = (jnp.take_along_axis(trials, choice[None, None], axis=0)[0] for choice in choices)
         return total + jnp.stack([costs[:-1].min(axis=0).sum(), costs.min(axis=0).sum()]), (gone, safe)
 
-    blocks = (y.points, *_observations(problem), kept)
-    costs, (gone, safe) = jax.lax.scan(update, jnp.zeros(2, step.dtype), blocks)
-    costs, before = _total((costs, kept.costs.sum()), axis)
+    total, ends = jnp.zeros(2, step.dtype), []
+    for group, own in zip(_groups(y, problem), kept):
+        total, end = jax.lax.scan(functools.partial(update, group), total, (group.over, own))
+        ends.append(end)
+    costs, before = _total((total, sum(own.costs.sum() for own in kept)), axis)
     costs, before = costs + _prior_cost(moved, problem), before + _prior_cost(y.cameras, problem)
     fine = costs[0] < before
-    points = jnp.where(fine, gone, safe)
-    return Unknowns(moved, points), before, jnp.where(fine, costs[0], costs[1]), promise, reach
+    points, *poses = (jnp.where(fine, gone, safe) for gone, safe in ends)
+    return Unknowns(moved, points, tuple(poses)), before, jnp.where(fine, costs[0], costs[1]), promise, reach
 
 
 LEAP = 4.0
 
 
-def _polished(model, state, loss_scale, points, pixels, weights) -> list[Float[Array, "3 B"]]:
-    """Points moved once more, the cameras standing: by Newton's step, and by a leap along Gauss-Newton's.
+def _polished(model, state, loss_scale, group: _Group) -> list[Float[Array, "n B"]]:
+    """Unknowns moved once more, the cameras standing: by Newton's step, and by a leap along Gauss-Newton's.
 
     A point whose views disagree creeps under Gauss-Newton with robust weights, and a few such points would set the
     number of steps of the whole. Newton's step has the loss's curvature, d^2 rho / 2 = w J^T J - 2 (w J^T r)
     (w J^T r)^T / s^2; where that is indefinite it is simply no good, and the leap gains most.
     """
-    linear = _linearise(model, state, loss_scale, points, pixels, weights)
-    by_axis = list(zip(*linear.for_point))
+    linear = _linearise(model, state, loss_scale, group)
+    by_axis = list(zip(*linear.by_step))
     slope = [functools.reduce(jnp.add, map(jnp.multiply, axis, linear.residual)) for axis in by_axis]
-    gradient = [part.sum(axis=0) for part in slope]
-    bend = 2.0 / (loss_scale**2 * jnp.where(weights > 0, weights, 1.0))
-    plain = _point_blocks(by_axis)
-    bent = tuple(block - (bend * slope[i] * slope[j]).sum(axis=0) for (i, j), block in zip(UPPER, plain))
-    leap, newton = (-jnp.stack(root_solve(symmetric_root(blocks), gradient)) for blocks in (plain, bent))
-    return [points + newton, points + LEAP * leap]
-
-
-UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-
-
-def _point_blocks(by_axis) -> Symmetric:
-    """J^T J of the points, from their derivatives axis by axis."""
-    return tuple(
-        functools.reduce(jnp.add, [(a * b).sum(axis=0) for a, b in zip(by_axis[i], by_axis[j])]) for i, j in UPPER
+    gradient = _own_gradient(by_axis, linear.residual, group)
+    bend = 2.0 / (loss_scale**2 * jnp.where(group.weights > 0, group.weights, 1.0))
+    plain = _own_blocks(by_axis, group)
+    pairs = upper_triangle(group.kind.size)
+    bent = tuple(
+        block - group.kind.summed((bend * slope[i] * slope[j]).sum(axis=0)) for (i, j), block in zip(pairs, plain)
     )
+    leap, newton = (-jnp.stack(root_solve(symmetric_root(blocks), gradient)) for blocks in (plain, bent))
+    return [group.kind.moved(group.values, move) for move in (newton, LEAP * leap)]
 
 
-def _point_step(model, state, loss_scale, points, pixels, weights, damping) -> Float[Array, "3 B"]:
-    """One damped Gauss-Newton step of the points alone."""
-    linear = _linearise(model, state, loss_scale, points, pixels, weights)
-    root, gradient = _point_normal(linear, damping)
+def _own_step(model, state, loss_scale, group: _Group, damping) -> Float[Array, "d B"]:
+    """One damped Gauss-Newton step of the eliminated unknowns alone."""
+    root, gradient = _own_normal(_linearise(model, state, loss_scale, group), group, damping)
     return -jnp.stack(root_solve(root, gradient))
 
 
-def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Float[Array, "NB 3 B"]:
-    """The best points for cameras that stay as they are: every point by itself, with a damping of its own."""
+def solve_points(model: AbstractModel, y: Unknowns, problem: Problem, steps: int) -> Unknowns:
+    """The best points and poses for cameras that stay as they are: each by itself, with a damping of its own."""
     state = model.state(y.cameras, problem.constants)
 
-    def block(_, data):
-        start, pixels, weights = data
+    def solve(group: _Group, _, data):
+        group = group.block(data)
 
         def step(carry, _):
-            points, damping, cost = carry
-            move = _point_step(model, state, problem.loss_scale, points, pixels, weights, damping)
-            trial = points + move
-            after = _point_costs(model, state, problem.loss_scale, trial, pixels, weights)
+            values, damping, cost = carry
+            own = group.at(values)
+            trial = group.kind.moved(values, _own_step(model, state, problem.loss_scale, own, damping))
+            after = _costs(model, state, problem.loss_scale, group.at(trial))
             better = after < cost
             damping = jnp.where(better, damping * 0.1, damping * 10.0)
-            return (jnp.where(better[None], trial, points), damping, jnp.where(better, after, cost)), None
+            return (jnp.where(better[None], trial, values), damping, jnp.where(better, after, cost)), None
 
-        cost = _point_costs(model, state, problem.loss_scale, start, pixels, weights)
-        begin = (start, jnp.full_like(cost, 1e-4), cost)
+        cost = _costs(model, state, problem.loss_scale, group)
+        begin = (group.values, jnp.full_like(cost, 1e-4), cost)
         return None, jax.lax.scan(step, begin, None, length=steps)[0][0]
 
-    return jax.lax.scan(block, None, (y.points, *_observations(problem)))[1]
+    points, *poses = (
+        jax.lax.scan(functools.partial(solve, group), None, group.over)[1] for group in _groups(y, problem)
+    )
+    return Unknowns(y.cameras, points, tuple(poses))

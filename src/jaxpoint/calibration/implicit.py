@@ -27,7 +27,12 @@ def optimum(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) 
     Pure; for `jit`, `grad` and `jvp`. With a free gauge the derivative is that of least camera step,
     and right for whatever does not depend on the gauge. Meaningful only where the solve has settled: give it a small
     `rtol`.
+
+    Raises:
+        ValueError: the problem has targets or priors of points, which have no derivatives here.
     """
+    if problem.targets or problem.point_priors is not None:
+        raise ValueError("Problems with targets or priors of points have no implicit derivatives; leave these out.")
     return _optimum(problem, solver, jax.lax.stop_gradient(start))[0]
 
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.sight import covariance_of_points, cross_terms, derivatives
+from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
 from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, variance_px2
 from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
-from jaxpoint.camera.rig import CameraRig
 from jaxpoint.motion import motion
 from jaxpoint.tracks import Tracks
 
@@ -26,7 +25,6 @@ OFFSET, DRIFT, ROWS = -3, -2, -1
 """The last columns, none of them solved for by `calibrate`: frames by which a camera shows the light late, by how many
 more at the end of the recording than at its start, and by how many more in the last image row than in the first."""
 EXTRA = 3  # of them
-BLOCK = 1024  # points at once
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,7 @@ class NormalEquations:
 
     matrix: Float[np.ndarray, "D D"]
     gradient: Float[np.ndarray, " D"]
-    gauge: Float[np.ndarray, "D 7"]  # directions in which a similarity moves the cameras
+    gauge: Float[np.ndarray, "D n"]  # directions in which what is open of a similarity moves the cameras
     parameters: Float[np.ndarray, "C p"]  # where the solution stands; the poses as zeros
     variance: float  # px^2, by which the inverse is to be scaled
 
@@ -97,23 +95,25 @@ def normal_equations(calibration: Calibration) -> NormalEquations:
     rig, tracks = calibration.rig, calibration.tracks
     cameras, columns = len(rig), rig.camera_size + EXTRA
     seen = calibration.kept & calibration.point_valid[:, None]
-    late = _late(tracks, motion(tracks.pixels, seen, tracks.frame_ids).velocity)
+    late = _late(tracks, motion(tracks.pixels, seen, tracks.series_ids).velocity)
     square = (calibration.residuals**2).sum(axis=-1)
     loss = np.inf if calibration.loss_scale is None else calibration.loss_scale
     weights = np.where(seen, 1.0 / (1.0 + square / loss**2), 0.0)
     matrix, gradient = np.zeros((cameras * columns, cameras * columns)), np.zeros(cameras * columns)
-    for start in range(0, tracks.frames, BLOCK):
-        some = slice(start, start + BLOCK)
-        part, slope = _eliminated(
-            rig, calibration.points[some], seen[some], weights[some], late[some], calibration.residuals[some]
-        )
+    for group in row_groups(calibration):
+        slopes = slopes_of(calibration, group, seen)
+        extra = np.where(seen[..., None, None], late, 0.0)[group.rows]
+        slopes = slopes._replace(by_camera=np.concatenate([slopes.by_camera, extra], axis=-1))
+        shown = np.where(group.shown[..., None], weights[group.rows], 0.0)
+        part, slope = _eliminated(slopes, shown, calibration.residuals[group.rows], group.prior)
         matrix, gradient = matrix + part, gradient + slope
     parameters = np.zeros((cameras, rig.camera_size))
     parameters[:, FOCAL:] = adjusted_lenses(rig)
-    gauge = np.pad(camera_ways(rig), ((0, 0), (0, EXTRA), (0, 0)))
+    count = FREEDOMS if calibration.hold is None else calibration.hold.open_freedoms
+    gauge = np.pad(camera_ways(rig)[..., :count], ((0, 0), (0, EXTRA), (0, 0)))
     mean_weight = weights[seen].mean() if seen.any() else 1.0
     variance = variance_px2(calibration) * mean_weight
-    return NormalEquations(matrix, gradient, gauge.reshape(-1, FREEDOMS), parameters, variance)
+    return NormalEquations(matrix, gradient, gauge.reshape(len(matrix), count), parameters, variance)
 
 
 def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndarray, "F C 2 3"]:
@@ -126,26 +126,21 @@ def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndar
 
 
 def _eliminated(
-    rig: CameraRig,
-    points: Float[np.ndarray, "B 3"],
-    seen: Bool[np.ndarray, "B C"],
-    weights: Float[np.ndarray, "B C"],
-    late: Float[np.ndarray, "B C 2 3"],
-    residuals: Float[np.ndarray, "B C 2"],
+    slopes: Slopes,
+    weights: Float[np.ndarray, "B K C"],
+    residuals: Float[np.ndarray, "B K C 2"],
+    prior: Float[np.ndarray, " B"],
 ) -> tuple[Float[np.ndarray, "D D"], Float[np.ndarray, " D"]]:
-    """What some points add to the matrix and to the gradient."""
-    by_camera, by_point = derivatives(rig, points, seen)
+    """What some unknowns add to the matrix and to the gradient."""
     root = np.sqrt(weights)[..., None, None]
-    late = np.where(seen[..., None, None], late, 0.0)
-    by_camera, by_point = np.concatenate([by_camera, late], axis=-1) * root, by_point * root
+    slopes = Slopes(slopes.by_camera * root, slopes.by_unknown * root)
     left = residuals * root[..., 0]
-    own, cross = covariance_of_points(by_point, seen), cross_terms(by_camera, by_point)
-    pull = np.einsum("bcij,bci->bj", by_point, left)
+    own, cross = slopes.own(prior), slopes.cross
+    pull = np.einsum("bkcid,bkci->bd", slopes.by_unknown, left)
     moved = own @ cross
     matrix = -cross.reshape(-1, cross.shape[2]).T @ moved.reshape(-1, cross.shape[2])
-    gradient = np.einsum("bcip,bci->cp", by_camera, left).ravel() - np.einsum("bid,bi->d", moved, pull)
-    count = seen.shape[1]
-    blocks = np.einsum("bcip,bciq->cpq", by_camera, by_camera, optimize=True)
-    each = np.arange(count)
+    gradient = np.einsum("bkciq,bkci->cq", slopes.by_camera, left).ravel() - np.einsum("bdn,bd->n", moved, pull)
+    count = weights.shape[2]
+    each, blocks = np.arange(count), slopes.cameras
     matrix.reshape(count, blocks.shape[1], count, -1)[each, :, each] += blocks
     return matrix, gradient

@@ -49,7 +49,7 @@ def pair_offsets(
         partners: with how many others each camera is tried; with 1 each is reached once, the fastest way.
     """
     with jax.enable_x64(True):
-        return _pair_offsets(tracks, settings, seed, intrinsics, partners, progress or _silent)
+        return _pair_offsets(tracks.of_one_point(), settings, seed, intrinsics, partners, progress or _silent)
 
 
 def _silent(done: int, total: int) -> None:

@@ -81,7 +81,7 @@ def brought_in_step(
 
 def _at(tracks: Tracks, good: Bool[np.ndarray, "F C"], offsets) -> tuple[OnClock, Recording]:
     """The observations on the clock, moved along what the good ones say of the motion."""
-    clock = on_clock(tracks, motion(tracks.pixels, good, tracks.frame_ids), offsets)
+    clock = on_clock(tracks, motion(tracks.pixels, good, tracks.series_ids), offsets)
     return clock, Recording.of(clock.applied(tracks))
 
 

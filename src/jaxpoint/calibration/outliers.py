@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import gammaincinv
 
+from jaxpoint.calibration.bodies import Bodies, bodies_of, firm_rows, held_rows
 from jaxpoint.calibration.consensus import consensus
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Verdict
@@ -35,38 +36,47 @@ class Judgement:
 
 
 def judge(recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None) -> Judgement:
-    """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px."""
+    """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px.
+
+    Points of targets stand where their poses put them, and known points start where they are known to be.
+    """
     found = consensus(recording, state, 1.5 * threshold)
-    visible = recording.visible & found.placed[:, None]
-    start = replace(state, points=found.points)
+    held = held_rows(recording, state)
+    visible = recording.visible & (found.placed | held)[:, None]
+    start = replace(state, points=np.where(held[:, None], state.points, found.points))
     placed = place_points(recording, start, visible, loss_scale or threshold / 2.0)
     pixels, depth = project(placed)
     errors = np.linalg.norm(pixels - recording.pixels, axis=-1)
     near = visible & (errors < threshold) & (depth > 0)
-    enough = (near.sum(axis=1) >= 2) & ~found.ambiguous
+    enough = np.where(held, firm_rows(recording, placed, near), (near.sum(axis=1) >= 2) & ~found.ambiguous)
     kept = near & enough[:, None]
     verdicts = np.full(kept.shape, Verdict.REPROJECTION, dtype=np.int8)
     verdicts[visible & (depth <= 0)] = Verdict.BEHIND
     verdicts[recording.visible & ~enough[:, None]] = Verdict.UNDECIDED
-    verdicts[recording.visible & (recording.visible.sum(axis=1) < 2)[:, None]] = Verdict.FEW_VIEWS
+    verdicts[recording.visible & ((recording.visible.sum(axis=1) < 2) & ~held)[:, None]] = Verdict.FEW_VIEWS
     verdicts[~recording.visible] = Verdict.HIDDEN
     verdicts[kept] = Verdict.KEPT
     return Judgement(placed, kept, verdicts, np.where(visible, errors, 0.0))
 
 
-def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int) -> float:
+def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int, bodies: Bodies | None = None) -> float:
     """Standard deviation of one pixel coordinate.
 
-    A frame seen by V cameras leaves 2 V - 3 degrees of freedom for its summed squared error: 1 of 4 with two views,
-    so a plain median over residuals would be far too small. The median over frames of the sum over its chi-square
-    median is robust and right for every V.
+    A point seen by V cameras leaves 2 V - 3 degrees of freedom for its summed squared error: 1 of 4 with two views,
+    so a plain median over residuals would be far too small. The median over points of the sum over its chi-square
+    median is robust and right for every V. The points of a target share the 6 of its pose.
+
+    Args:
+        bodies: which rows have a pose in common; every row is a point of its own if not given.
     """
-    views = kept.sum(axis=1)
-    seen = views >= 2
+    bodies = bodies or Bodies.single(len(kept))
+    views = bodies.sums(kept.sum(axis=1))
+    freedom = 2 * views - bodies.freedoms
+    seen = freedom >= 1
     if not seen.any():
         return np.inf
-    freedom = 2 * views[seen] - 3
-    squares = np.where(kept, errors**2, 0.0).sum(axis=1)[seen] / (2 * gammaincinv(freedom / 2, 0.5))
+    freedom = freedom[seen]
+    squares = bodies.sums(np.where(kept, errors**2, 0.0).sum(axis=1))[seen] / (2 * gammaincinv(freedom / 2, 0.5))
     total = freedom.sum()
     inflate = total / max(total - parameters, 0.1 * total)
     return float(max(np.sqrt(np.median(squares) * inflate), LEAST_SIGMA_PX))
@@ -81,7 +91,8 @@ def robust_cost(recording: Recording, state: RigState) -> float:
 
 def cost_of(recording: Recording, judged: Judgement, scale: float) -> float:
     """Cauchy cost of all observations of frames seen twice; one whose frame has no point costs as one far off."""
-    testable = recording.visible & (recording.visible.sum(axis=1) >= 2)[:, None]
+    alone = recording.visible.sum(axis=1) < 2
+    testable = recording.visible & (~alone | held_rows(recording, judged.state))[:, None]
     placed = judged.verdicts != Verdict.UNDECIDED
     errors = np.where(placed, np.minimum(judged.errors, 1e4), 10.0 * scale)
     return float((scale**2 * np.log1p((errors[testable] / scale) ** 2)).sum())
@@ -114,18 +125,20 @@ def settle(recording: Recording, judged: Judgement, freedom: Freedom, settings: 
     """Adjust and judge in turn at the noise level until nothing changes.
 
     While the set still changes the solves are rough; the last ones are exact. Now and then an observation at the very
-    threshold goes in and out for ever: a set that comes back is the end too.
+    threshold goes in and out for ever: a set that comes back is the end too. Without a frame that tells the noise the
+    sigma is infinite, and nothing converges.
     """
     parameters = int(freedom.free.sum())
-    sigma = robust_sigma(judged.errors, judged.kept, parameters)
+    bodies = bodies_of(recording, judged.state)
+    sigma = robust_sigma(judged.errors, judged.kept, parameters, bodies)
     converged, rounds, exact = False, 0, False
     before: set[bytes] = set()
-    while rounds < settings.max_rounds and not converged:
+    while rounds < settings.max_rounds and not converged and np.isfinite(sigma):
         rounds += 1
         loss = {"loss_scale": 2.0 * sigma} if settings.loss == "cauchy" else {}
         rtol, steps = (1e-7, 100) if exact else (1e-4, ROUGH_STEPS)
         end = adjust(recording, judged.state, judged.kept, freedom.at_noise(sigma), steps=steps, rtol=rtol, **loss)
-        sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters)
+        sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters, bodies)
         again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
         changed = int((again.kept != judged.kept).sum())
         returned = again.kept.tobytes() in before

@@ -31,7 +31,12 @@ def spread(mesh: Mesh, start: Unknowns, problem: Problem) -> tuple[Unknowns, Pro
     """Lay a problem over the mesh, its blocks padded by hidden ones to a multiple of the devices.
 
     With several processes each gives the blocks of its own frames, equally many, and the same cameras.
+
+    Raises:
+        ValueError: the problem has targets or priors of points, which one device solves.
     """
+    if problem.targets or problem.point_priors is not None:
+        raise ValueError("Targets and priors of points are solved on one device: use `bundle.solve`.")
     missing = -len(start.points) % len(mesh.local_devices)
 
     def blocks(values):
@@ -72,4 +77,4 @@ def solve_on(mesh: Mesh, solver: SchurLevenbergMarquardt, start: Unknowns, probl
     run = jax.shard_map(part, mesh=mesh, in_specs=specs, out_specs=(_WHOLE, _SPREAD), check_vma=False)
     rest = replace(problem, pixels=problem.pixels[:0], weights=problem.weights[:0])
     (cameras, *ends), points = run(start.cameras, start.points, problem.pixels, problem.weights, rest)
-    return Adjusted(cameras, points, *ends)
+    return Adjusted(cameras, points, (), *ends)

@@ -9,8 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, from_blocks, padded_frames, solve, to_blocks
+from jaxpoint.calibration.adjustment import PointPriors
+from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, padded_frames, solve, to_blocks
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
+from jaxpoint.calibration.target_blocks import TargetRows, seen_targets, target_rows, with_solved
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.lenses import lens_of_choice
@@ -32,6 +34,9 @@ class Recording:
     frames: int
     cameras: int
     pixel_aspects: np.ndarray  # (D,) width over height of a pixel; 1 where nothing states another
+    targets: tuple[TargetRows, ...] = ()
+    known: np.ndarray | None = None  # (N, 3) m, where the room says that points lie,
+    known_sigmas: np.ndarray | None = None  # (N,) m, and how sure it is; infinite where it says nothing
 
     @staticmethod
     def of(tracks: Tracks) -> Recording:
@@ -46,7 +51,13 @@ class Recording:
         pixels[: tracks.frames, : tracks.cameras] = tracks.pixels
         visible[: tracks.frames, : tracks.cameras] = tracks.visible
         sizes[: tracks.cameras] = tracks.image_sizes
-        return Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects)
+        targets = tuple(target_rows(tracks, number) for number in range(len(tracks.targets)))
+        plain = Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects, targets)
+        if tracks.prior is None:
+            return plain
+        known, sigmas = np.zeros((frames, 3)), np.full(frames, np.inf)
+        known[: tracks.frames], sigmas[: tracks.frames] = tracks.prior.points, tracks.prior.sigmas
+        return replace(plain, known=known, known_sigmas=sigmas)
 
     @property
     def scale(self) -> float:
@@ -72,6 +83,8 @@ class RigState:
     base: np.ndarray  # (D, 3, 3)
     points: np.ndarray  # (N, 3)
     lens: type[AbstractLens] = Brown
+    poses: tuple[np.ndarray, ...] = ()  # (M, 12) of each target, see `eliminated.POSE`; none while shapes are not used
+    anchored: bool = False  # whether the rig stands in the room's frame, and known points hold it there
 
     @property
     def rotation(self) -> np.ndarray:
@@ -135,6 +148,7 @@ class Freedom:
     free: np.ndarray  # (D, p) bool
     prior_mean: np.ndarray  # (D, p)
     prior_weight: np.ndarray  # (D, p)
+    noise_px: float = NOISE_PX  # of the pixels that the priors are weighed against
 
     @staticmethod
     def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
@@ -150,11 +164,11 @@ class Freedom:
         sigma[:, 2:4] *= recording.image_sizes[: recording.cameras, :1]
         mean[: recording.cameras, FOCAL:] = lenses
         weight[: recording.cameras, FOCAL:] = (NOISE_PX / sigma) ** 2
-        return Freedom(self.free, mean, weight)
+        return replace(self, prior_mean=mean, prior_weight=weight)
 
     def at_noise(self, sigma_px: float) -> Freedom:
         """The priors weighed against pixels of this noise."""
-        return Freedom(self.free, self.prior_mean, self.prior_weight * (sigma_px / NOISE_PX) ** 2)
+        return replace(self, prior_weight=self.prior_weight * (sigma_px / NOISE_PX) ** 2, noise_px=sigma_px)
 
 
 @dataclass(frozen=True)
@@ -188,7 +202,7 @@ def adjust(
     held = tuple(np.flatnonzero(~freedom.free.any(axis=0)).tolist()) if recording.cameras >= LARGE_RIG else ()
     solver = SchurLevenbergMarquardt(model=CameraModel(state.lens, held), rtol=jnp.asarray(rtol))
     end = solve(solver, start, problem)
-    solved = replace(state, cameras=np.asarray(end.cameras), points=from_blocks(end.points))
+    solved = with_solved(recording, replace(state, cameras=np.asarray(end.cameras)), end)
     return Solved(solved, float(end.cost), int(end.steps), bool(end.settled))
 
 
@@ -196,7 +210,7 @@ def place_points(recording: Recording, state: RigState, kept: np.ndarray, loss_s
     """The best point of every frame for cameras that stay as they are, from the points given."""
     nothing = np.zeros(state.cameras.shape)
     problem, start = _problem(recording, state, kept, Freedom(nothing > 0, nothing, nothing), loss_scale, 0)
-    return replace(state, points=from_blocks(_place_points(CameraModel(state.lens), start, problem)))
+    return with_solved(recording, state, _place_points(CameraModel(state.lens), start, problem))
 
 
 @jit
@@ -205,17 +219,31 @@ def _place_points(model: CameraModel, start: Unknowns, problem: Problem):
 
 
 def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, steps) -> tuple[Problem, Unknowns]:
+    weights = kept.astype(np.float64)
+    targets, poses = seen_targets(recording, state, weights)
+    for owned, pose in zip(recording.targets, state.poses):
+        weights[owned.with_pose(pose)[0]] = 0.0  # these rows move with a pose, and are no points of their own
     problem = Problem(
         jnp.asarray(to_blocks(recording.pixels)),
-        jnp.asarray(to_blocks(kept.astype(np.float64))),
+        jnp.asarray(to_blocks(weights)),
         jnp.asarray(state.base),
         jnp.asarray(freedom.free),
         jnp.asarray(freedom.prior_mean),
         jnp.asarray(freedom.prior_weight),
         jnp.asarray(float(loss_scale)),
         jnp.asarray(steps),
+        _point_priors(recording, state, freedom.noise_px),
+        targets,
     )
-    return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)))
+    return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)), poses)
+
+
+def _point_priors(recording: Recording, state: RigState, noise_px: float) -> PointPriors | None:
+    """Of points that the room knows, once the rig stands in its frame."""
+    if not state.anchored or recording.known is None or recording.known_sigmas is None:
+        return None
+    weight = (noise_px / recording.known_sigmas) ** 2
+    return PointPriors(jnp.asarray(to_blocks(recording.known)), jnp.asarray(to_blocks(weight)))
 
 
 @jit

@@ -17,6 +17,7 @@ from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.prior_choice import PriorChoice
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording
 from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, TimeOffsets
+from jaxpoint.calibration.shapes import has_hold, with_shapes
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.lenses import lens_of_choice
@@ -90,6 +91,16 @@ class Refinement:
         self.clocks = brought_in_step(self.recorded, state, offsets, freedom, self.settings.outliers)
         self.recording, self.tracks = self.clocks.recording, self.clocks.tracks
         return Solution(self.clocks.settled, freedom)
+
+    def with_shapes(self, solution: Solution) -> Solution:
+        """The solution adjusted with the targets and known points among the tracks."""
+        if not has_hold(self.recording):
+            return solution
+        outliers = self.settings.outliers
+        self.recording, solution, stages, findings = with_shapes(self.recording, solution, outliers)
+        self.stages += stages
+        self.findings += findings
+        return solution
 
     def _in_step_again(self, solution: Solution) -> Solution:
         return solution if self.clocks is None else self.in_step(solution, self.clocks.offsets)

@@ -70,12 +70,20 @@ class TimeOffsets:
 
 
 @dataclass(frozen=True)
+class Hold:
+    """What holds a calibration's scale and frame beside its observations: targets of known size, or known points."""
+
+    open_freedoms: int  # of a similarity that nothing holds: 6 with targets (no scale), 0 with known points
+    scale_sigma: float  # standard deviation of the scale that the sizes of targets leave, as a share of it
+
+
+@dataclass(frozen=True)
 class Calibration:
     """A calibrated rig, the light's path, and what became of every observation.
 
     With `time_offsets`, `tracks` are not as recorded: every observation stands where its camera saw the light at the
-    row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is aligned (`unit`
-    is then "m").
+    row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is aligned, unless
+    targets of known size or known points gave it its scale (`unit` is "m" then).
 
     Not a pytree: it is the record of a finished solve, in numpy on the host, with verdicts, words and settings that no
     program could take. Its `rig` and `tracks` are pytrees; derivatives of a calibration come from `chain_of`.
@@ -102,12 +110,18 @@ class Calibration:
     freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
     loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
     time_offsets: TimeOffsets | None = None  # where they were solved for
+    hold: Hold | None = None  # targets or known points that took part in the adjustment
     findings: tuple[Finding, ...] = ()  # what `calibrate` met on the way; `calibration.quality` adds the rest
 
     @property
     def kept(self) -> Bool[np.ndarray, "F C"]:
         """The observations that the calibration believes."""
         return self.verdicts == Verdict.KEPT
+
+    @property
+    def in_room(self) -> bool:
+        """Whether the frame is that of the room: aligned with it, or held by known points."""
+        return self.alignment is not None or (self.hold is not None and self.hold.open_freedoms == 0)
 
     @property
     def comparable(self) -> Bool[np.ndarray, "F C"]:

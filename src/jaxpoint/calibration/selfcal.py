@@ -48,6 +48,9 @@ def calibrate(
 ) -> Calibration:
     """Calibrate all cameras from the tracks of one moving light; nothing else need be known.
 
+    Targets of known shape (boards, wands) and points of known place may be among the tracks, alone or with a light, and
+    take part in the adjustment: their sizes give it metres, known points the room's frame.
+
     Two-view geometry votes on every observation and finds the lenses' distortion; initialisers compete for a first
     solution; a robust bundle adjustment alternates with rounds that judge every observation anew. Priors that the
     recording refutes (images not cropped, square pixels) are given up; a camera that the others contradict is left out
@@ -138,8 +141,10 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
     solution = _best_solution(inputs, candidates, settings)
     refining = Refinement(recorded, tracks, recording, pairs, settings, intrinsics)
     if rough is not None:
-        solution = refining.in_step(solution, rough)
-    solution = refining.run(solution)
+        solution = refining.run(refining.in_step(solution, rough))
+        solution = refining.with_shapes(solution)
+    else:
+        solution = refining.run(refining.with_shapes(solution))
     progress("adjustment", 1, 1)
     clock.append(time.perf_counter())
     explained = solution.settled.judged.kept.sum() / max(inputs.kept.sum(), 1)

@@ -30,14 +30,9 @@ from scipy.special import exp1
 
 from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.sight import (
-    centres,
-    covariance_of_points,
-    cross_terms,
-    derivatives,
-    poses,
-)
+from jaxpoint.calibration.result import Calibration, Hold
+from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
+from jaxpoint.calibration.sight import centres, derivatives, poses
 from jaxpoint.camera.parameters import change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
@@ -46,7 +41,6 @@ from jaxpoint.triangulation import triangulate
 
 FREEDOMS = 7  # of a similarity: translation, rotation vector (rad), log scale
 NO_LOSS = 50.0  # (loss scale / sigma)^2 / 2 from which a robust loss costs less than 2 % and counts as none
-BLOCK = 1024  # points at once
 
 
 class Uncertainty(eqx.Module):
@@ -124,7 +118,7 @@ def anchors_of(
     if sigmas.shape != (len(names),) or not (sigmas > 0).all():
         raise ValueError(f"{len(names)} landmarks need as many positive sigmas, not {sigmas.tolist()}.")
     tracks, clicked = calibration.tracks, () if clicks is None else clicks.names
-    rows = {str(frame): i for i, frame in enumerate(tracks.frame_ids)}
+    rows = tracks.rows_by_name()
     light, centres = np.full(tracks.frames, np.inf), np.full(tracks.cameras, np.inf)
     chosen: list[int] = []
     for i, name in enumerate(names):
@@ -253,24 +247,19 @@ def _outer(calibration: Calibration, anchors: Anchors) -> Anchoring:
 
 
 class _Eliminated(NamedTuple):
-    """Points as the cameras move them: error of a point = `moved` times that of the cameras + own error."""
+    """Unknowns as the cameras move them: error of an unknown = `moved` times that of the cameras + own error."""
 
-    cross: Float[np.ndarray, "B 3 D"]  # J_x^T J_c
-    moved: Float[np.ndarray, "B 3 D"]
-    own: Float[np.ndarray, "B 3 3"]  # covariance of the own error for pixels of variance 1
+    cross: Float[np.ndarray, "B d D"]  # J_u^T J_c
+    moved: Float[np.ndarray, "B d D"]
+    own: Float[np.ndarray, "B d d"]  # covariance of the own error for pixels of variance 1
     cameras: Float[np.ndarray, "C p p"]  # sum of J_c^T J_c
 
 
-def _eliminated(
-    rig: CameraRig, points: Float[np.ndarray, "B 3"], seen: Bool[np.ndarray, "B C"], free: Bool[np.ndarray, "C p"]
-) -> _Eliminated:
-    """Some points, and what the cameras that see them say."""
-    by_camera, by_point = derivatives(rig, points, seen)
-    by_camera = np.where(free[:, None, :], by_camera, 0.0)
-    own = covariance_of_points(by_point, seen)
-    cross = cross_terms(by_camera, by_point)
-    per_camera = by_camera.transpose(1, 0, 2, 3).reshape(len(free), -1, free.shape[1])
-    return _Eliminated(cross, -own @ cross, own, np.swapaxes(per_camera, 1, 2) @ per_camera)
+def _eliminated(slopes: Slopes, free: Bool[np.ndarray, "C p"], prior: Float[np.ndarray, " B"]) -> _Eliminated:
+    """Some unknowns, and what the cameras that see them say."""
+    slopes = slopes._replace(by_camera=np.where(free[:, None, :], slopes.by_camera, 0.0))
+    own, cross = slopes.own(prior), slopes.cross
+    return _Eliminated(cross, -own @ cross, own, slopes.cameras)
 
 
 class _Gauge(NamedTuple):
@@ -284,16 +273,27 @@ class _Gauge(NamedTuple):
         return _Gauge(*(mine + its for mine, its in zip(self, other)))
 
 
-def _anchor_sums(parts: _Eliminated, points: np.ndarray, weights: np.ndarray, variance: float) -> _Gauge:
+def _anchor_sums(
+    parts: _Eliminated,
+    tangent: Float[np.ndarray, "B K 3 d"],
+    points: Float[np.ndarray, "B K 3"],
+    weights: Float[np.ndarray, "B K"],
+    variance: float,
+) -> _Gauge:
     """The share of some points in u; `variance` (px^2) is that of the pixels from which they come."""
-    ways = point_ways(points)
-    pull = weights[:, None, None] * ways
+    directions = point_ways(points.reshape(-1, 3)).reshape(*points.shape, FREEDOMS)
+    pull = _pull(tangent, directions, weights)
     turned = np.swapaxes(pull, 1, 2)
     return _Gauge(
         pull.reshape(-1, FREEDOMS).T @ parts.moved.reshape(-1, parts.moved.shape[2]),
         variance * (turned @ parts.own @ pull).sum(axis=0),
-        (turned @ ways).sum(axis=0),
+        np.einsum("bk,bkif,bkig->fg", weights, directions, directions, optimize=True),
     )
+
+
+def _pull(tangent, directions, weights) -> Float[np.ndarray, "B d 7"]:
+    """How the error of an unknown enters u, through all its points."""
+    return np.einsum("bk,bkid,bkif->bdf", weights, tangent, directions, optimize=True)
 
 
 def point_ways(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
@@ -328,25 +328,51 @@ def _adjusted(calibration: Calibration, freedom: Freedom, anchoring: Anchoring, 
     seen = calibration.kept & calibration.point_valid[:, None]
     nothing = np.full((free.size, free.size), np.nan), np.full((len(points), 3, 3), np.nan)
     own_blocks, taken, gauge = _sums(calibration, freedom, seen, anchoring, variance)
-    ways = camera_ways(rig).reshape(-1, FREEDOMS)
+    frame = _Frame(calibration.hold)
+    every = camera_ways(rig).reshape(-1, FREEDOMS)
+    directions = every[:, frame.open]
     try:
-        loose = variance * _any_frame(own_blocks, taken, freedom, ways)
-        hold = np.linalg.inv(gauge.normal)
+        loose = variance * _any_frame(own_blocks, taken, freedom, directions)
+        hold = np.linalg.inv(gauge.normal[frame.both])
     except np.linalg.LinAlgError:
         return Adjusted(*nothing)
-    own = gauge.own + anchoring.measured * gauge.normal
-    with_u = loose @ gauge.of_cameras.T  # (D, 7)
-    back = hold @ (gauge.of_cameras @ with_u + own) @ hold
+    own = (gauge.own + anchoring.measured * gauge.normal)[frame.both]
+    with_u = loose @ gauge.of_cameras[frame.open].T  # (D, n)
+    back = hold @ (gauge.of_cameras[frame.open] @ with_u + own) @ hold
+    scaling = hold @ gauge.normal[frame.open, -1]  # what a change of scale does to the frame
     found = np.zeros((len(points), 3, 3))
-    for some in _blocks(len(points)):
-        parts = _eliminated(rig, points[some], seen[some], free)
-        inner = variance * parts.own
-        moved, by_frame = parts.moved, point_ways(points[some])
+    for group in row_groups(calibration):
+        parts = _eliminated(slopes_of(calibration, group, seen), free, group.prior)
+        rows, tangent = group.rows, group.tangent
+        moved = tangent @ parts.moved[:, None]  # (B, K, 3, D)
+        by_frame = point_ways(points[rows].reshape(-1, 3)).reshape(*rows.shape, 3, FREEDOMS)
+        pull = _pull(tangent, by_frame, np.where(group.shown, anchoring.light[rows], 0.0))
+        inner = variance * (tangent @ parts.own[:, None])  # (B, K, 3, d)
         spread = (moved.reshape(-1, len(loose)) @ loose).reshape(moved.shape)
-        link = moved @ with_u + anchoring.light[some, None, None] * (inner @ by_frame)
-        found[some] = _held(spread @ np.swapaxes(moved, 1, 2) + inner, link, by_frame, hold, back)
+        link = moved @ with_u + (inner @ pull[:, None])[..., frame.open]
+        plain = spread @ np.swapaxes(moved, -1, -2) + inner @ np.swapaxes(tangent, -1, -2)
+        held = _held(plain, link, by_frame[..., frame.open], hold, back)
+        held += frame.scale_variance * _squares(by_frame[..., -1] - by_frame[..., frame.open] @ scaling)
+        found[rows[group.shown]] = held[group.shown]
     found = np.where(calibration.point_valid[:, None, None], found, 0.0)
-    return Adjusted(_held(loose, with_u, ways, hold, back), found)
+    cameras = _held(loose, with_u, directions, hold, back)
+    # A held parameter does not move with the scale; the translations, which do, are never held.
+    cameras += frame.scale_variance * _squares(every[:, -1] - directions @ scaling)
+    return Adjusted(cameras, found)
+
+
+class _Frame:
+    """Which of the seven freedoms of a similarity the observations leave open, and how uncertain a held scale is."""
+
+    def __init__(self, hold: Hold | None):
+        count = FREEDOMS if hold is None else hold.open_freedoms
+        self.open = slice(0, count)
+        self.both = self.open, self.open
+        self.scale_variance = 0.0 if hold is None else hold.scale_sigma**2
+
+
+def _squares(vectors: Float[np.ndarray, "*rest n"]) -> Float[np.ndarray, "*rest n n"]:
+    return vectors[..., :, None] * vectors[..., None, :]
 
 
 def _held(plain, link, ways, hold, back):
@@ -364,18 +390,18 @@ def _sums(
     own_blocks, taken = np.zeros((len(rig), rig.camera_size, rig.camera_size)), np.zeros((free.size, free.size))
     gauge = _centre_sums(rig, free, anchoring)
     if len(anchoring.clicked):
-        parts = _eliminated(rig, anchoring.places, anchoring.visible, free)
-        gauge += _anchor_sums(parts, anchoring.places, anchoring.clicked, anchoring.click_variance)
-    for some in _blocks(len(points)):
-        parts = _eliminated(rig, points[some], seen[some], free)
+        by_camera, by_point = derivatives(rig, anchoring.places, anchoring.visible)
+        parts = _eliminated(Slopes(by_camera[:, None], by_point[:, None]), free, np.zeros(len(by_point)))
+        single = np.broadcast_to(np.eye(3), (len(by_point), 1, 3, 3))
+        places, weights = anchoring.places[:, None], anchoring.clicked[:, None]
+        gauge += _anchor_sums(parts, single, places, weights, anchoring.click_variance)
+    for group in row_groups(calibration):
+        parts = _eliminated(slopes_of(calibration, group, seen), free, group.prior)
         own_blocks += parts.cameras
         taken += parts.cross.reshape(-1, free.size).T @ parts.moved.reshape(-1, free.size)
-        gauge += _anchor_sums(parts, points[some], anchoring.light[some], variance)
+        weights = np.where(group.shown, anchoring.light[group.rows], 0.0)
+        gauge += _anchor_sums(parts, group.tangent, points[group.rows], weights, variance)
     return own_blocks, taken, gauge
-
-
-def _blocks(count: int) -> list[slice]:
-    return [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
 
 
 def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C p"], anchoring: Anchoring) -> _Gauge:
@@ -388,8 +414,8 @@ def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C p"], anchoring: Ancho
     return _Gauge(of_cameras.transpose(1, 0, 2).reshape(FREEDOMS, -1), np.zeros_like(normal), normal)
 
 
-def _any_frame(own_blocks, taken, freedom: Freedom, ways: Float[np.ndarray, "D 7"]) -> Float[np.ndarray, "D D"]:
-    """A covariance of the cameras, for pixels of variance 1, in some frame: an inverse but for the seven freedoms.
+def _any_frame(own_blocks, taken, freedom: Freedom, ways: Float[np.ndarray, "D n"]) -> Float[np.ndarray, "D D"]:
+    """A covariance of the cameras, for pixels of variance 1, in some frame: an inverse but for the open freedoms.
 
     Raises:
         LinAlgError: more than these is open.

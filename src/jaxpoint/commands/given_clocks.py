@@ -43,10 +43,10 @@ def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
     from jaxpoint.motion import moved_to_clock, without_jumps
 
     offsets, rates = given_offsets(tracks, settings.offset), given_rates(tracks, settings.rate)
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
+    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
     for camera in np.flatnonzero(rates != 1.0).tolist():
         tracks, rates[camera] = _evenly(tracks, camera, usable, float(rates[camera]))
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.frame_ids, tracks.image_sizes[:, 0].astype(float))
+    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
     moved = moved_to_clock(tracks, offsets, rates, usable)
     empty = np.flatnonzero(tracks.visible.any(axis=0) & ~moved.visible.any(axis=0))
     if len(empty):
@@ -70,7 +70,7 @@ def _evenly(tracks: Tracks, camera: int, usable, rate: float) -> tuple[Tracks, f
         steps = regular_steps(tracks, camera, usable, in_file)
         if steps is not None:
             left = in_file / steps.rate
-            known_well = abs(left - 1.0) * (tracks.frame_ids[-1] - tracks.frame_ids[0]) < 1.0
+            known_well = abs(left - 1.0) * float(tracks.frame_ids.max() - tracks.frame_ids.min()) < 1.0
             return without_steps(tracks, camera, steps), 1.0 if known_well else left
     return tracks, rate
 
@@ -111,7 +111,7 @@ def rate_of_times(tracks: Tracks) -> float | None:
 
     if tracks.times is None or tracks.frames < 2:
         return None
-    seconds, frames = np.diff(tracks.times), np.diff(tracks.frame_ids)
+    seconds, frames = np.diff(tracks.times), np.diff(tracks.series_ids)
     rate = float(np.median(frames[seconds > 0] / seconds[seconds > 0])) if (seconds > 0).any() else 0.0
     return rate if rate > 0 else None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import partial
 from typing import TypeAlias
@@ -98,42 +99,62 @@ def symmetric_full(matrix: Symmetric) -> Float[Array, "B 3 3"]:
     return jnp.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=-1).reshape(-1, 3, 3)
 
 
-def symmetric_root(matrix: Symmetric) -> Float[Array, "6 *B"]:
-    """Lower roots L of symmetric positive matrices: 1 / l00, l10, 1 / l11, l20, l21, 1 / l22.
+def symmetric_root(matrix: Symmetric) -> Float[Array, "e *B"]:
+    """Lower roots L of symmetric positive d x d matrices, e = d (d + 1) / 2: 1 / l00, l10, 1 / l11, l20, l21, ...
 
     The identity where a matrix is zero; pivots that vanish are held at 1e-15 of the trace.
+
+    Args:
+        matrix: the upper triangles row by row (xx, xy, xz, yy, yz, zz where d is 3), each entry an array.
     """
-    xx, xy, xz, yy, yz, zz = matrix
-    trace = xx + yy + zz
+    size = triangle_size(len(matrix))
+    entry = dict(zip(upper_triangle(size), matrix))
+    trace = sum((entry[i, i] for i in range(1, size)), start=entry[0, 0])
     least = jnp.where(trace > 0, 1e-15 * trace, 1.0)
-
-    def pivot(square: Array) -> Array:
-        return jax.lax.rsqrt(jnp.maximum(square, least))
-
-    first = pivot(xx)
-    l10, l20 = xy * first, xz * first
-    second = pivot(yy - l10 * l10)
-    l21 = (yz - l20 * l10) * second
-    third = pivot(zz - l20 * l20 - l21 * l21)
-    return jnp.stack([first, l10, second, l20, l21, third])
+    root: dict[tuple[int, int], Array] = {}
+    for i in range(size):
+        for j in range(i + 1):
+            left = entry[j, i]
+            for k in range(j):
+                left = left - root[i, k] * root[j, k]
+            root[i, j] = left * root[j, j] if j < i else jax.lax.rsqrt(jnp.maximum(left, least))
+    return jnp.stack(list(root.values()))
 
 
-def forward_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
-    """L^-1 v for vectors of three components, each an array."""
-    first = vector[0] * root[0]
-    second = (vector[1] - root[1] * first) * root[2]
-    return first, second, (vector[2] - root[3] * first - root[4] * second) * root[5]
+def upper_triangle(size: int) -> list[tuple[int, int]]:
+    """Row and column of the entries of an upper triangle, row by row."""
+    return [(i, j) for i in range(size) for j in range(i, size)]
 
 
-def backward_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
-    """L^-T v for vectors of three components, each an array."""
-    third = vector[2] * root[5]
-    second = (vector[1] - root[4] * third) * root[2]
-    return (vector[0] - root[1] * second - root[3] * third) * root[0], second, third
+def triangle_size(entries: int) -> int:
+    """d of a d x d matrix whose triangle has so many entries."""
+    return (math.isqrt(8 * entries + 1) - 1) // 2
 
 
-def root_solve(root: Float[Array, "6 *B"], vector: Sequence[Array] | Array) -> tuple[Array, Array, Array]:
-    """(L L^T)^-1 v for vectors of three components, each an array."""
+def forward_solve(root: Float[Array, "e *B"], vector: Sequence[Array] | Array) -> tuple[Array, ...]:
+    """L^-1 v for vectors of d components, each an array."""
+    found: list[Array] = []
+    for i in range(len(vector)):
+        row, left = i * (i + 1) // 2, vector[i]
+        for j in range(i):
+            left = left - root[row + j] * found[j]
+        found.append(left * root[row + i])
+    return tuple(found)
+
+
+def backward_solve(root: Float[Array, "e *B"], vector: Sequence[Array] | Array) -> tuple[Array, ...]:
+    """L^-T v for vectors of d components, each an array."""
+    found: dict[int, Array] = {}
+    for i in reversed(range(len(vector))):
+        left = vector[i]
+        for j in range(i + 1, len(vector)):
+            left = left - root[j * (j + 1) // 2 + i] * found[j]
+        found[i] = left * root[i * (i + 3) // 2]
+    return tuple(found[i] for i in range(len(vector)))
+
+
+def root_solve(root: Float[Array, "e *B"], vector: Sequence[Array] | Array) -> tuple[Array, ...]:
+    """(L L^T)^-1 v for vectors of d components, each an array."""
     return backward_solve(root, forward_solve(root, vector))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage
+from jaxpoint.calibration.result import Calibration, Finding, Hold, PairTable, Stage
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
@@ -44,6 +44,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         "seconds": calibration.seconds,
         "seed": calibration.seed,
         "loss_scale": calibration.loss_scale,
+        "hold": None if calibration.hold is None else asdict(calibration.hold),
         "undetermined": calibration.undetermined,
         "pairs": asdict(calibration.pairs),
         "stages": [asdict(stage) for stage in calibration.stages],
@@ -98,6 +99,7 @@ def load_result(folder: Path) -> Calibration:
         seed=about["seed"],
         freedom=freedom,
         loss_scale=about.get("loss_scale"),
+        hold=None if about.get("hold") is None else Hold(**about["hold"]),
         findings=tuple(Finding(**(f | {"cameras": tuple(f["cameras"])})) for f in about.get("findings", [])),
     )
 

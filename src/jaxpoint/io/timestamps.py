@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,9 +80,15 @@ def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
     Frame ids become the sync indices, times the mean times. Frames that the timestamps do not name are left out.
 
     Raises:
-        InsufficientDataError: a camera is not in the timestamps, or these speak of frames that the tracks have not.
+        InsufficientDataError: a camera is not in the timestamps, these speak of frames that the tracks have not, or
+            the tracks hold several points.
     """
     stamps = timestamps.select(tracks.names)
+    if tracks.point_ids is not None:
+        raise InsufficientDataError(
+            "Timestamps put the frames of one light on common moments, but these tracks hold several points; detect "
+            "them in frames that are already in step."
+        )
     last = int(tracks.frame_ids.max(initial=-1))
     if stamps.frame_index.max() > last:
         camera = int(stamps.frame_index.max(axis=0).argmax())
@@ -95,14 +101,12 @@ def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
     row = np.where(stamps.present, row_of_frame[stamps.frame_index], -1)
     camera = np.arange(tracks.cameras)[None]
     visible = (row >= 0) & tracks.visible[row, camera]
-    return Tracks(
-        np.where(visible[..., None], tracks.pixels[row, camera], 0.0),
-        visible,
-        tracks.image_sizes,
-        stamps.sync_indices,
-        stamps.times,
-        tracks.names,
-        tracks.pixel_aspects,
+    return replace(
+        tracks,
+        pixels=np.where(visible[..., None], tracks.pixels[row, camera], 0.0),
+        visible=visible,
+        frame_ids=stamps.sync_indices,
+        times=stamps.times,
     )
 
 

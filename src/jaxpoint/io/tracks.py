@@ -1,7 +1,8 @@
 """Tracks in files: our own `.npz`, a long CSV, caliscope's corners, and the one door to all of them, `read_tracks`.
 
 Long CSV: `frame,time,camera,x,y`, one line for each light seen. `time` (s; or `time_ms`, `time_us`, `time_ns`) may be
-left out; x or y empty or NaN means hidden. Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes
+left out; x or y empty or NaN means hidden. With several points a frame (ends of a wand, corners of a board) the column
+`point` tells them apart. Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes
 come from the columns `width,height`, else from the argument `image_sizes`, else from a file `cameras.csv`
 (`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are sorted by
 name, cam_2 before cam_10.
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +23,11 @@ from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.calibration import read_camera_array_sizes
 from jaxpoint.io.files import PIXEL_ALIASES, Row, StrPath, natural_key, read_header, read_table, replacing
 from jaxpoint.io.svoboda import read_svoboda
-from jaxpoint.tracks import Tracks
+from jaxpoint.targets import Target
+from jaxpoint.tracks import PointPrior, Tracks
 
 TRACKS_FORMAT = "jaxpoint-tracks"
-TRACKS_VERSION = 1
+TRACKS_VERSION = 2  # 1 has a single light; files that hold no more are still written so
 LONG_COLUMNS = ("frame", "camera", "x", "y")
 ALIASES = {
     "frame": ("sync_index", "frame_id", "frame_number", "frame_index"),  # what all cameras share first
@@ -34,9 +37,11 @@ ALIASES = {
 }
 TIME_UNITS = {"time": 1.0, "time_s": 1.0, "time_ms": 1e-3, "time_us": 1e-6, "time_ns": 1e-9}  # s
 SLOWEST = 10.0  # s from frame to frame; more in a column `time` is no time in seconds
+BOARD_COLUMNS = ("obj_loc_x", "obj_loc_y", "obj_loc_z")  # m, on the board
 CORNER_COLUMNS = ("sync_index", "cam_id", "keypoint_id", "img_loc_x", "img_loc_y")
 
 ImageSizes = tuple[int, int] | Mapping[str, tuple[int, int]]
+Key = tuple[int, int]  # point and frame
 
 
 def read_tracks(path: StrPath, *, one_based: bool = False, image_sizes: ImageSizes | None = None) -> Tracks:
@@ -99,7 +104,7 @@ def save_tracks(
     """
     arrays: dict[str, np.ndarray] = {
         "format": np.array(TRACKS_FORMAT),
-        "version": np.array(TRACKS_VERSION),
+        "version": np.array(1 if tracks.point_ids is None and tracks.prior is None else TRACKS_VERSION),
         "pixels": tracks.pixels,
         "visible": tracks.visible,
         "image_sizes": tracks.image_sizes,
@@ -110,6 +115,7 @@ def save_tracks(
         arrays["times"] = tracks.times
     if tracks.pixel_aspects is not None:
         arrays["pixel_aspects"] = tracks.pixel_aspects
+    arrays |= _point_arrays(tracks)
     if reasons is not None:
         reasons = np.asarray(reasons)
         if reasons.shape != tracks.visible.shape or not ((reasons >= 0) & (reasons < len(reason_names))).all():
@@ -122,6 +128,31 @@ def save_tracks(
         np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
 
 
+def _point_arrays(tracks: Tracks) -> dict[str, np.ndarray]:
+    """What tells points apart, and what is known of them; nothing for a single light."""
+    arrays: dict[str, np.ndarray] = {}
+    if tracks.point_ids is not None and tracks.target_ids is not None:
+        arrays |= {"point_ids": tracks.point_ids, "target_ids": tracks.target_ids}
+        arrays["target_names"] = np.array([target.name for target in tracks.targets], dtype=str)
+        arrays["target_size_sigmas"] = np.array([target.size_sigma for target in tracks.targets], dtype=float)
+        arrays |= {f"target_points_{i}": target.points for i, target in enumerate(tracks.targets)}
+    if tracks.prior is not None:
+        arrays |= {"prior_points": tracks.prior.points, "prior_sigmas": tracks.prior.sigmas}
+    return arrays
+
+
+def _with_point_arrays(tracks: Tracks, arrays: Mapping[str, np.ndarray]) -> Tracks:
+    """Tracks with what `_point_arrays` wrote."""
+    if "prior_points" in arrays:
+        tracks = replace(tracks, prior=PointPrior(arrays["prior_points"], arrays["prior_sigmas"]))
+    if "point_ids" not in arrays:
+        return tracks
+    names, sigmas = arrays["target_names"].tolist(), arrays["target_size_sigmas"].tolist()
+    shapes = [arrays[f"target_points_{i}"] for i in range(len(names))]
+    targets = tuple(Target(*fields) for fields in zip(names, shapes, sigmas))
+    return replace(tracks, point_ids=arrays["point_ids"], target_ids=arrays["target_ids"], targets=targets)
+
+
 def load_tracks(path: StrPath) -> Tracks:
     """Tracks written by `save_tracks`.
 
@@ -130,7 +161,7 @@ def load_tracks(path: StrPath) -> Tracks:
     """
     arrays = _read_npz(path)
     try:
-        return Tracks.from_pixels(
+        plain = Tracks.from_pixels(
             arrays["pixels"],
             arrays["image_sizes"],
             arrays["visible"],
@@ -139,6 +170,7 @@ def load_tracks(path: StrPath) -> Tracks:
             tuple(str(name) for name in arrays["names"]),
             arrays.get("pixel_aspects"),
         )
+        return _with_point_arrays(plain, arrays)
     except (KeyError, ValueError) as error:
         raise FileFormatError(f"{path} is damaged: {error}") from None
 
@@ -165,9 +197,9 @@ def _read_npz(path: StrPath) -> dict[str, np.ndarray]:
         raise FileFormatError(f"{path} is not an .npz file or is cut off ({error}); write it again.") from None
     if "format" not in arrays or str(arrays["format"]) != TRACKS_FORMAT:
         raise FileFormatError(f"{path} holds no jaxpoint tracks; write it with `jaxpoint detect led` or `save_tracks`.")
-    if int(arrays["version"]) != TRACKS_VERSION:
+    if not 1 <= int(arrays["version"]) <= TRACKS_VERSION:
         raise FileFormatError(
-            f"{path} has version {int(arrays['version'])}, this jaxpoint reads {TRACKS_VERSION}; update jaxpoint."
+            f"{path} has version {int(arrays['version'])}, this jaxpoint reads 1 to {TRACKS_VERSION}; update jaxpoint."
         )
     return arrays
 
@@ -180,25 +212,28 @@ def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSize
     """
     rows = read_table(path, LONG_COLUMNS, ALIASES)
     order, sizes = _sizes_of(path, rows, image_sizes)
-    frames = [row.integer("frame") for row in rows]
-    frame_ids = sorted(set(frames))
-    pixels = _scatter(rows, frames, frame_ids, order, ("x", "y"))
-    times = _times(path, rows, frames, frame_ids)
+    several = "point" in rows[0].values
+    keys = [(row.integer("point") if several else 0, row.integer("frame")) for row in rows]
+    different = sorted(set(keys))
+    pixels = _scatter(rows, keys, different, order, ("x", "y"))
+    times = _times(path, rows, keys, different)
+    points, frames = np.array(different).T
     return Tracks.from_pixels(
         pixels - float(one_based),
         np.array([sizes[name] for name in order]),
-        frame_ids=np.array(frame_ids),
+        frame_ids=frames,
         times=times,
         names=order,
+        point_ids=points if several else None,
     )
 
 
 def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None) -> Tracks:
-    """Corners of a board as caliscope writes them (`xy_CHARUCO.csv`), each one a "frame" of its own.
+    """Corners of a board as caliscope writes them (`xy_CHARUCO.csv`): point ids are its keypoint ids.
 
-    Frame ids are `keypoint_id * 1_000_000 + sync_index`, so that the moments of a corner follow one another and its
-    motion can be seen; cameras are named cam_<id>. The image sizes come from `image_sizes` or a `camera_array.toml` in
-    this folder or one of the three above it.
+    Where the file says where each corner lies on the board, the board is a target of that shape. Cameras are named
+    cam_<id>. The image sizes come from `image_sizes` or a `camera_array.toml` in this folder or one of the three above
+    it.
 
     Raises:
         FileFormatError: a missing column or value, a corner twice, a board beside another, or no image size.
@@ -206,22 +241,40 @@ def read_caliscope_corners(path: StrPath, image_sizes: ImageSizes | None = None)
     rows = read_table(path, CORNER_COLUMNS)
     for row in rows:
         row.values["camera"] = f"cam_{row.integer('cam_id')}"
-        if not 0 <= row.integer("sync_index") < MOMENTS:
-            raise row.error(f"sync_index must lie in 0..{MOMENTS - 1}.")
     if len({row.values.get("object_id") for row in rows}) > 1:
         raise FileFormatError(f"{path} holds several boards (object_id); keep the lines of one.")
     if image_sizes is None:
         image_sizes = _camera_array_sizes(Path(path), {row.values["camera"] for row in rows})
     order, sizes = _sizes_of(path, rows, image_sizes)
-    frames = [row.integer("keypoint_id") * MOMENTS + row.integer("sync_index") for row in rows]
-    frame_ids = sorted(set(frames))
-    pixels = _scatter(rows, frames, frame_ids, order, ("img_loc_x", "img_loc_y"))
+    keys = [(row.integer("keypoint_id"), row.integer("sync_index")) for row in rows]
+    different = sorted(set(keys))
+    pixels = _scatter(rows, keys, different, order, ("img_loc_x", "img_loc_y"))
+    points, frames = np.array(different).T
+    corners, target = _board_of(rows)
     return Tracks.from_pixels(
-        pixels, np.array([sizes[name] for name in order]), frame_ids=np.array(frame_ids), names=order
+        pixels,
+        np.array([sizes[name] for name in order]),
+        frame_ids=frames,
+        names=order,
+        point_ids=points if target is None else np.array([corners.index(point) for point in points.tolist()]),
+        target=target,
     )
 
 
-MOMENTS = 1_000_000  # more than any recording of a board has
+def _board_of(rows: list[Row]) -> tuple[list[int], Target | None]:
+    """The corners' ids in order, and the board that they are of; None where the file does not say where they lie."""
+    corners = sorted({row.integer("keypoint_id") for row in rows})
+    if any(column not in rows[0].values or row.missing(column) for row in rows for column in BOARD_COLUMNS):
+        return corners, None
+    places: dict[int, list[float]] = {}
+    for row in rows:
+        place = [row.number(column) for column in BOARD_COLUMNS]
+        if places.setdefault(row.integer("keypoint_id"), place) != place:
+            raise row.error(f"corner {row.integer('keypoint_id')} lies elsewhere on the board than in a line before.")
+    try:
+        return corners, Target("board", np.array([places[corner] for corner in corners]))
+    except ValueError as error:
+        raise rows[0].error(f"obj_loc is of no board: {error}") from None
 
 
 def _camera_array_sizes(path: Path, cameras: set[str]) -> dict[str, tuple[int, int]] | None:
@@ -233,20 +286,20 @@ def _camera_array_sizes(path: Path, cameras: set[str]) -> dict[str, tuple[int, i
 
 
 def _scatter(
-    rows: list[Row], frames: list[int], frame_ids: list[int], cameras: Sequence[str], xy: tuple[str, str]
+    rows: list[Row], keys: list[Key], different: list[Key], cameras: Sequence[str], xy: tuple[str, str]
 ) -> np.ndarray:
     """(F, C, 2) pixels, NaN where there is no line."""
-    frame_index = {frame: i for i, frame in enumerate(frame_ids)}
+    index = {key: i for i, key in enumerate(different)}
     camera_index = {name: i for i, name in enumerate(cameras)}
-    pixels = np.full((len(frame_ids), len(cameras), 2), np.nan)
+    pixels = np.full((len(different), len(cameras), 2), np.nan)
     taken = np.zeros(pixels.shape[:2], bool)
-    for row, frame in zip(rows, frames):
+    for row, key in zip(rows, keys):
         name = row.text("camera")
-        place = frame_index[frame], camera_index[name]
+        place = index[key], camera_index[name]
         if taken[place]:
             raise row.error(
-                f"camera '{name}' has a second line for frame {frame}; a file holds one light, so keep one line (of "
-                "two lights, each in a file of its own)."
+                f"camera '{name}' has a second line for frame {key[1]}; a file holds one light, unless a column "
+                "'point' tells several apart: keep one line, or add that column."
             )
         taken[place] = True
         if not (row.missing(xy[0]) or row.missing(xy[1])):
@@ -254,22 +307,22 @@ def _scatter(
     return pixels
 
 
-def _times(path: StrPath, rows: list[Row], frames: list[int], frame_ids: list[int]) -> np.ndarray | None:
+def _times(path: StrPath, rows: list[Row], keys: list[Key], different: list[Key]) -> np.ndarray | None:
     """(F,) mean time of each frame's lines, s; None where there is no such column or it is empty throughout."""
     column = next((name for name in TIME_UNITS if name in rows[0].values), None)
     if column is None or all(row.missing(column) for row in rows):
         return None
-    seconds: dict[int, list[float]] = {frame: [] for frame in frame_ids}
-    for row, frame in zip(rows, frames):
+    seconds: dict[int, list[float]] = {frame: [] for _, frame in different}
+    for row, (_, frame) in zip(rows, keys):
         if not row.missing(column):
             seconds[frame].append(TIME_UNITS[column] * row.number(column))
     empty = [frame for frame, values in seconds.items() if not values]
     if empty:
         raise FileFormatError(f"{path}: frame {empty[0]} has no time, others do; give all or drop the column.")
-    times = np.array([np.mean(seconds[frame]) for frame in frame_ids])
+    mean = {frame: float(np.mean(values)) for frame, values in sorted(seconds.items())}
     if column == "time":
-        _check_seconds(path, times)
-    return times
+        _check_seconds(path, np.array(list(mean.values())))
+    return np.array([mean[frame] for _, frame in different])
 
 
 def _check_seconds(path: StrPath, times: np.ndarray) -> None:

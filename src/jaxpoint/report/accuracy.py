@@ -57,7 +57,7 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
 
     None without a covariance or noise, or where two cameras nowhere see the same place.
     """
-    covariance, aligned = calibration.camera_covariance, summary.scene.unit == "m"
+    covariance, aligned = calibration.camera_covariance, summary.scene.in_room
     if covariance is None or len(summary.scene.points) < 2 or not calibration.sigma_px > 0:
         return None
     turn, shift = (np.eye(3), np.zeros(3)) if aligned else summary.scene.levelling()
@@ -106,7 +106,7 @@ def _spread(low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "P 3"]:
 
 def _heights(scene: Scene) -> list[tuple[str, float]]:
     """The two planes: floor and head height, or low and high in the light's path where there is no floor."""
-    if scene.unit == "m":
+    if scene.in_room:
         return [("On the floor", 0.0), (f"At head height, {HEAD_M:g} m", HEAD_M)]
     low, high = np.quantile(scene.points[:, 2], [0.1, 0.9])
     return [("Low in the light's path", float(low)), ("High in the light's path", float(high))]
@@ -127,7 +127,7 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
     covariance = calibration.camera_covariance
     if covariance is None:
         return None
-    count, aligned = len(summary.names), summary.scene.unit == "m"
+    count, aligned = len(summary.names), summary.scene.in_room
     blocks = np.einsum("cpcq->cpq", covariance.reshape(count, -1, count, calibration.rig.camera_size))
     sigma = np.sqrt(np.maximum(np.einsum("cpp->cp", blocks), 0.0))
     turn = np.eye(3) if aligned else summary.scene.levelling()[0]

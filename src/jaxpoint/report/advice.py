@@ -257,7 +257,7 @@ def _when(clock: CameraClock) -> str:
 
 def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
     """A light that stayed on a plane, or a quarter of the covered volume that it hardly visited."""
-    scene = scene if scene.unit == "m" else scene.upright()
+    scene = scene if scene.in_room else scene.upright()
     if len(scene.points) < 20:
         return
     low, high = np.quantile(scene.points, [0.01, 0.99], axis=0)

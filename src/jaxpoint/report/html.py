@@ -205,7 +205,7 @@ def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Mar
 def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, Scene]]:
     """The rig as solved and, once aligned, in the room; alone, the solved one is turned upright to be readable."""
     if alignment is None:
-        room = summary.scene if summary.scene.unit == "m" else summary.scene.upright()
+        room = summary.scene if summary.scene.in_room else summary.scene.upright()
         return [("As solved, turned upright", room)]
     return [("As solved", before_alignment(summary.scene, alignment.similarity)), ("In the room", summary.scene)]
 
@@ -229,7 +229,7 @@ def _tiles(summary: Summary, calibration: Calibration, seconds: Mapping[str, Any
         (f"{summary.kept_fraction:.1%}", f"of {int(summary.comparable.sum()):,} kept (frames of two views)"),
         (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.frames:,} frames used"),
         (px(summary.sigma_px, 2), "noise of a coordinate"),
-        ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.unit == "m" else "not aligned"),
+        ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.in_room else "not aligned"),
     ]
     total = seconds.get("total")
     return tiles if total is None else [*tiles, (f"{total:.1f} s", "to compute")]
@@ -251,9 +251,10 @@ def _advice(summary: Summary, calibration: Calibration) -> list[Advice]:
         advice = [stuck, *advice]
     if calibration.alignment is not None:
         return [*advice, *_on_alignment(calibration.alignment)]
-    if calibration.unit != "m":
+    if not calibration.in_room:
         step = "Measure a few points of the room and run `jaxpoint align RUN --landmarks landmarks.csv --out RUN2`."
-        advice = [*advice, Advice("The result has no unit and no floor yet.", step)]
+        lacking = "no floor" if calibration.unit == "m" else "no unit and no floor"
+        advice = [*advice, Advice(f"The result has {lacking} yet.", step)]
     return advice
 
 

@@ -29,6 +29,7 @@ def summarise(calibration: Calibration) -> Summary:
         world_from_cam=np.swapaxes(rotation, 1, 2),
         points=np.asarray(calibration.points)[valid],
         unit=calibration.unit,
+        in_room=calibration.in_room,
     )
 
     def distort(places: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ class Scene:
     world_from_cam: Float[np.ndarray, "C 3 3"]
     points: Float[np.ndarray, "P 3"]
     unit: str
+    in_room: bool = False  # whether z is up and 0 on the floor
 
     @property
     def size(self) -> float:
