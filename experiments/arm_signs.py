@@ -1,4 +1,4 @@
-"""How much does each sign tell of an arm that points? Fits the weights of `jaxpoint.person.signs`.
+"""How much does each sign tell of an arm that points? Fits the weights of `jaxpoint.body.arm_features`.
 
 People of simulated sessions point; every limb that the views agree on is measured, and one that is off the true
 forearm by less than 12 degrees, with its tip nearer than 15 cm, is the arm. A logistic regression weighs the signs. It
@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.person.arms import LEAST
-from jaxpoint.person.signs import CONSTANT, WEIGHTS, Signs
+from jaxpoint.body.arm_features import CONSTANT, WEIGHTS, ArmFeatures
+from jaxpoint.body.limb_arms import LEAST
 
-NAMES = [field.name for field in fields(Signs)]
+NAMES = [field.name for field in fields(ArmFeatures)]
 RIGHT_DEG, RIGHT_M = 12.0, 0.15
 FOLDS = 5
 SHRINKAGE = 0.3  # of a weight, per standard deviation of its sign: a ridge
@@ -73,7 +73,7 @@ def _limbs_of_session(job: tuple[int, int, int]) -> list[dict]:
 
 
 def _limbs_of_moment(pixels, moment: int) -> list[dict]:
-    from jaxpoint.person.arms import measured_limbs
+    from jaxpoint.body.limb_arms import measured_limbs
 
     session, gesture, following = pixels.session, pixels.gesture, pixels.following
     heads, row, truth = following.tracking.heads, pixels.moments.index(moment), pixels.joints(moment)
@@ -85,12 +85,12 @@ def _limbs_of_moment(pixels, moment: int) -> list[dict]:
         if np.linalg.norm(head - truth["head"]) > 0.3:
             continue
         own = following.sightings[row, person].tolist()
-        crops = [None if s < 0 else pixels.seen[c].crop(s) for c, s in enumerate(own)]
+        crops = [None if s < 0 else pixels.seen[c].person(s) for c, s in enumerate(own)]
         for limb in measured_limbs(session.rig, crops, head, np.asarray(session.rig.project(head))):
             off = np.degrees(np.arccos(np.clip(limb.direction @ true_axis, -1, 1)))
             tip = float(np.linalg.norm(limb.tip - truth[f"{gesture.hand}_tip"]))
             right = bool(off < RIGHT_DEG and tip < RIGHT_M)
-            signs = {} if limb.signs is None else asdict(limb.signs)
+            signs = {} if limb.features is None else asdict(limb.features)
             found.append({"moment": [session.seed, gesture.number, moment], "right": right} | signs)
     return found
 

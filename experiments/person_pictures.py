@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.config.person import PersonSettings
-from jaxpoint.detect.colour import Image
-from jaxpoint.detect.head import Head
-from jaxpoint.detect.silhouette import (
+from jaxpoint.detection.colour import Image
+from jaxpoint.detection.person.head_template import Head
+from jaxpoint.detection.person.silhouette import (
     Silhouette,
 )
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.video import open_frames
-from jaxpoint.report.person import titled
+from jaxpoint.report.contact_sheet import titled
 
 Row = tuple[str, str, str]
 SETTINGS = PersonSettings()

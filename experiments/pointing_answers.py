@@ -6,18 +6,18 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.answer.answers import SHARPER, Answer, Scene, answers
-from jaxpoint.answer.holds import Hold
-from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
-from jaxpoint.answer.lines import HeldJoints
+from jaxpoint.body.joints import Joints, is_left
 from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.answers import SHARPER, Answer, Scene, answers
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import fit_bias
 from jaxpoint.pointing.bias.pointings import Pointings
+from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.joints import Joints, is_left
-from jaxpoint.pointing.line import KINDS, directions
+from jaxpoint.pointing.holds import Hold
+from jaxpoint.pointing.line_hypotheses import Correction, correction_of, hypotheses
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
+from jaxpoint.pointing.pointing_line import KINDS, directions
 from jaxpoint.pointing.room import Room
 from jaxpoint.pointing.shapes import Rectangle
 

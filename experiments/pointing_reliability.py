@@ -2,7 +2,7 @@
 
 No image is drawn: joints are the simulator's, with the errors that pixels leave (head 8 mm, wrist 3, elbow and tip 4
 per axis). So no arm is missed and none is another limb's, which `pointing_evaluation.py` counts. Powers to which the
-probabilities are raised are held beside each other; `jaxpoint.answer.answers.SHARPER` was chosen on these seeds. Who
+probabilities are raised are held beside each other; `jaxpoint.pointing.answers.SHARPER` was chosen on these seeds. Who
 points several times (--each) tells by them with which eye, and by how much the forearm misses.
 
     python experiments/pointing_reliability.py --powers 1 1.3
@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxpoint.body.joints import estimated_covariance
 from jaxpoint.config.people import PeopleSettings, PointingSettings
-from jaxpoint.pointing.joints import estimated_covariance
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.session import floor_of
 from pointing_evaluation import answered, summary

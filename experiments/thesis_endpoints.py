@@ -44,9 +44,9 @@ from jaxpoint.config.people import (
 )
 from jaxpoint.config.person import ThesisSettings
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.detect.endpoints import AxisLine, Endpoints, axis_line, forearm_endpoints
-from jaxpoint.detect.region import Region, label_regions, region_of
-from jaxpoint.detect.thesis import of_shape
+from jaxpoint.detection.person.endpoints import AxisLine, Endpoints, axis_line, forearm_endpoints
+from jaxpoint.detection.person.thesis_regions import of_shape
+from jaxpoint.detection.region import Region, label_regions, region_of
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedSession, simulate_session

@@ -16,8 +16,8 @@ from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.objects import parse_objects
 from jaxpoint.io.tracks import save_tracks
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.shapes import unregister
 
 ROOT = Path(__file__).parents[1]

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxpoint.body import following as following
 from jaxpoint.cli import main
 from jaxpoint.errors import MissingDependencyError
-from jaxpoint.person import following
 
 MOMENTS = range(28, 45)  # the second gesture, at the window, with what is before and after
 CAMERAS = ("cam_0", "cam_1", "cam_2", "cam_5")
@@ -137,7 +137,7 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         ((one,), 4, "has 1 camera; a line in the room takes two views or more"),
         ((folder, "--calibration", no_scale), 2, "has no metric scale"),
         ((folder, "--calibration", small), 2, "is 512 x 288 px, but"),
-        ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "is outside of the room"),
+        ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "The gesture starts outside the room"),
         ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured, as the"),
         ((folder, "--line", "blend"), 2, "The weights of a blend"),
         ((folder, "--room.low", 0, 0, 0), 2, "low and high corner both"),
@@ -163,7 +163,7 @@ def test_who_cannot_speak_says_so_before_any_work(folder, tmp_path, capsys, monk
 
 
 def test_answers_are_spoken(monkeypatch):
-    from jaxpoint.answer.sentence import speak
+    from jaxpoint.report.answer_text import speak
 
     said = []
     monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
@@ -184,8 +184,8 @@ def answered(monkeypatch):
     pointed = SimpleNamespace(answers=answers, notes=("A note.",))
     monkeypatch.setattr("jaxpoint.commands.point.Point.answered", lambda *_: (None, None, pointed))
     monkeypatch.setattr("jaxpoint.commands.answered.write_answers", lambda *_: {"gestures": 2})
-    monkeypatch.setattr("jaxpoint.answer.sentence.sentence", lambda answer: answer.text)
-    monkeypatch.setattr("jaxpoint.answer.sentence.as_json", lambda answer: {"answer": answer.name})
+    monkeypatch.setattr("jaxpoint.report.answer_text.sentence", lambda answer: answer.text)
+    monkeypatch.setattr("jaxpoint.report.answer_text.as_json", lambda answer: {"answer": answer.name})
 
 
 @pytest.mark.parametrize(("flags", "first"), [(["--follow"], '{"answer": "window"}'), ([], "  1     2.0 s  person 1")])
@@ -205,7 +205,7 @@ def test_answers_are_told_before_anything_is_written(answered, folder, tmp_path,
 
 
 def test_a_voice_that_does_not_start_says_why(monkeypatch):
-    from jaxpoint.answer.sentence import speak
+    from jaxpoint.report.answer_text import speak
 
     def broken(*_, **__):
         raise OSError(8, "Exec format error")

@@ -11,17 +11,17 @@ from jax.test_util import check_grads
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
+from jaxpoint.body.joints import estimated, is_left
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.angles import azimuth_elevation, turned
-from jaxpoint.pointing.bias.drawn import drawn
+from jaxpoint.pointing.bias.corrected_lines import drawn
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias, left_out
 from jaxpoint.pointing.bias.learn import learn_bias
 from jaxpoint.pointing.bias.models import Blend, Constant, Personal, Polynomial
 from jaxpoint.pointing.bias.score import errors_deg, score
 from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
-from jaxpoint.pointing.joints import estimated, is_left
 
 LOSS = np.deg2rad(1.5)
 BENT = Blend(np.array([0.1, -0.2]), np.array([[0.4, -0.3], [0.2, 0.5]]), np.array([True, True]))

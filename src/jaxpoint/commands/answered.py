@@ -12,11 +12,11 @@ from jaxpoint.config import RoomConfig
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.answer.pipeline import Pointed
+    from jaxpoint.body.following import Following
     from jaxpoint.commands.point import Point
     from jaxpoint.io.session import Session
-    from jaxpoint.person.following import Following
-    from jaxpoint.report.pointing import GestureShown
+    from jaxpoint.pointing.pipeline import SessionAnswers
+    from jaxpoint.report.pointing_page import GestureShown
 
 
 def write_answers(
@@ -24,7 +24,7 @@ def write_answers(
     out: Path,
     session: Session,
     following: Following,
-    pointed: Pointed,
+    pointed: SessionAnswers,
     missing: list[str] | None = None,
     *,
     truth: Mapping[int, str] | None = None,
@@ -44,12 +44,12 @@ def write_answers(
         intro, links, tiles, title, kind: of the page.
         more: writes what else belongs into the folder, and returns what writes its pages into the folder's last place.
     """
-    from jaxpoint.answer.sentence import as_json
-    from jaxpoint.answer.shown import HEADER, gestures_shown, images_of, room_scene
-    from jaxpoint.answer.tables import gestures_table
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.table import write_table
-    from jaxpoint.report.pointing import write_pointing_report
+    from jaxpoint.report.answer_text import as_json
+    from jaxpoint.report.gesture_pictures import HEADER, gestures_shown, images_of, room_scene
+    from jaxpoint.report.gesture_table import gestures_table
+    from jaxpoint.report.pointing_page import write_pointing_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     assert session.rig is not None

@@ -22,8 +22,8 @@ from jaxpoint.errors import QualityError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.answer.pipeline import Pointed
     from jaxpoint.calibration.result import Calibration
+    from jaxpoint.pointing.pipeline import SessionAnswers
 
 INTRO = (
     "Nobody told the program where the cameras are, what lenses they have, or who points at what. It saw a light waved "
@@ -156,7 +156,7 @@ class Demo(SeededOptions):
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.align import aligned
         from jaxpoint.config import AlignSettings
-        from jaxpoint.detect.led import detect_led
+        from jaxpoint.detection.light.led import detect_led
         from jaxpoint.io.files import natural_key
         from jaxpoint.io.session import recordings
 
@@ -177,7 +177,7 @@ def embedded_session() -> Iterator[Path]:
         yield folder
 
 
-def true_targets(path: Path, pointed: Pointed) -> tuple[dict[int, str], list[str]]:
+def true_targets(path: Path, pointed: SessionAnswers) -> tuple[dict[int, str], list[str]]:
     """What is meant, by the number of the answer, and what was meant where there is no answer."""
     with path.open(encoding="utf-8", newline="") as file:
         gestures = list(csv.DictReader(file))

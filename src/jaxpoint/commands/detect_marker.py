@@ -21,10 +21,10 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.detect.marker import MarkerModel
+    from jaxpoint.body.marker_tips import MarkerTip
+    from jaxpoint.detection.person.marker_regions import MarkerModel
+    from jaxpoint.evidence.marker_views import MarkerViews
     from jaxpoint.io.session import Session
-    from jaxpoint.person.marker_tips import MarkerTip
-    from jaxpoint.person.markers import CameraMarkers
 
 _FAINT = "Pick more of the marker, in other light too, or widen --marker.deviations."
 
@@ -74,12 +74,12 @@ class DetectMarker(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write tables and a page of pictures into `--out`."""
         hush_opencv(self.verbose)
+        from jaxpoint.body.marker_tips import marker_tips
+        from jaxpoint.detection.person.marker_watch import learn_marker, watch_markers
+        from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.marker_samples import read_marker_samples
         from jaxpoint.io.session import open_session
         from jaxpoint.io.table import check_table_path
-        from jaxpoint.person.marker_tips import marker_tips
-        from jaxpoint.person.markers import learn_marker, watch_markers
-        from jaxpoint.person.recording import default_cache
 
         out = self.needed_folder("marker-run")
         check_table_path(out / f"detections.{self.format}")
@@ -111,7 +111,7 @@ def _write(
     out: Path,
     session: Session,
     model: MarkerModel,
-    markers: tuple[CameraMarkers, ...],
+    markers: tuple[MarkerViews, ...],
     tips: list[MarkerTip] | None,
     missing: list[str],
 ) -> dict[str, Any]:
@@ -119,9 +119,9 @@ def _write(
 
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.table import write_table
-    from jaxpoint.person.marker_pictures import marker_sheets, track_of
-    from jaxpoint.person.marker_tables import in_room, seen
-    from jaxpoint.report.marker import write_marker_report
+    from jaxpoint.report.marker_page import write_marker_report
+    from jaxpoint.report.marker_pictures import marker_sheets, track_of
+    from jaxpoint.report.marker_tables import in_room, seen
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
@@ -157,12 +157,12 @@ def _figures(
     command: DetectMarker,
     session: Session,
     model: MarkerModel,
-    markers: tuple[CameraMarkers, ...],
+    markers: tuple[MarkerViews, ...],
     tips: list[MarkerTip] | None,
 ) -> dict[str, Any]:
-    from jaxpoint.detect.marker import is_mixture
-    from jaxpoint.person.marker_tables import why
-    from jaxpoint.person.notes import merged_notes
+    from jaxpoint.detection.person.marker_regions import is_mixture
+    from jaxpoint.report.marker_tables import why
+    from jaxpoint.report.notes import merged_notes
 
     cameras = []
     for name, own in zip(session.names, markers):

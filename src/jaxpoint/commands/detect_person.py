@@ -23,9 +23,9 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
+    from jaxpoint.body.following import Following, Progress
+    from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
     from jaxpoint.io.session import Session
-    from jaxpoint.person.following import Following, Progress
-    from jaxpoint.person.views import CameraViews
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,9 @@ class DetectPerson(SeededOptions):
     person where there are several."""
     min_confidence: Fraction = 0.3
     """Landmarks below are left out."""
+    detector: str = "auto"
+    """What finds people: silhouettes, landmarks, or a detector of yours as module:function; auto takes landmarks where
+    a file of them is given, and else silhouettes."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the tables; parquet needs pyarrow."""
     cache: Path | None = None
@@ -77,7 +80,7 @@ class DetectPerson(SeededOptions):
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration, self.unit)
         with console.progress() as progress:
-            views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
+            views, following = _seen(self, session, progress)
         missing: list[str] = []
         figures = _write(self, out, session, views, following, missing)
         failure = _failure(self, figures, _remedy(self, session, views, following))
@@ -86,39 +89,27 @@ class DetectPerson(SeededOptions):
 
 def _seen(
     command: DetectPerson, session: Session, progress: Progress
-) -> tuple[tuple[CameraViews, ...], Following | None]:
-    """What the images show."""
-    from jaxpoint.person.following import follow
-    from jaxpoint.person.recording import default_cache, watch_session
+) -> tuple[tuple[AbstractCameraEvidence, ...], Following | None]:
+    """What the views show of people, and who is where."""
+    from jaxpoint.body.following import follow
+    from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
+    from jaxpoint.detection.person.session_watch import default_cache
 
-    kept = command.cache or default_cache()
-    views = watch_session(
-        session, command.settings, cache=kept, anew=command.anew, workers=command.workers, progress=progress
-    )
+    request = PeopleRequest(
+        session, command.settings, command.landmarks, command.min_confidence, command.cache or default_cache(),
+        command.anew, command.workers, progress,
+    )  # fmt: skip
+    views = detect_people(request, command.detector)
     if session.rig is None or len(session.names) < 2:
         return views, None
     return views, follow(session.rig, views, session.times, command.track, frame_ids=session.moments, progress=progress)
-
-
-def _given(
-    command: DetectPerson, session: Session, progress: Progress
-) -> tuple[tuple[CameraViews, ...], Following | None]:
-    """What a pose estimator found."""
-    from jaxpoint.io.poses import read_poses
-    from jaxpoint.person.poses import follow_poses, views_of_poses
-
-    poses = read_poses(command.landmarks or Path(), session, command.min_confidence)
-    views = views_of_poses(session, poses)
-    if session.rig is None or len(session.names) < 2:
-        return views, None
-    return views, follow_poses(session.rig, session, poses, views, command.track, progress)
 
 
 def _write(
     command: DetectPerson,
     out: Path,
     session: Session,
-    views: tuple[CameraViews, ...],
+    views: tuple[AbstractCameraEvidence, ...],
     following: Following | None,
     missing: list[str],
 ) -> dict[str, Any]:
@@ -127,9 +118,9 @@ def _write(
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.heads import save_heads
     from jaxpoint.io.table import write_table
-    from jaxpoint.person.pictures import sheets
-    from jaxpoint.person.tables import arms, detections
-    from jaxpoint.report.people import write_people_report
+    from jaxpoint.report.people_page import write_people_report
+    from jaxpoint.report.people_pictures import sheets
+    from jaxpoint.report.people_tables import arms, detections
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
@@ -163,10 +154,11 @@ def _write(
     return figures
 
 
-def _figures(session: Session, views: tuple[CameraViews, ...], following: Following | None) -> dict[str, Any]:
-    from jaxpoint.detect.person import FrameReason
-    from jaxpoint.person.notes import merged_notes
-    from jaxpoint.person.views import head_found
+def _figures(
+    session: Session, views: tuple[AbstractCameraEvidence, ...], following: Following | None
+) -> dict[str, Any]:
+    from jaxpoint.evidence.camera_evidence import FrameReason
+    from jaxpoint.report.notes import merged_notes
 
     cameras = []
     for name, view in zip(session.names, views):
@@ -176,8 +168,8 @@ def _figures(session: Session, views: tuple[CameraViews, ...], following: Follow
                 "name": name,
                 "frames": len(view.reasons),
                 "with_person": reasons.pop("person", 0),
-                "heads": int(head_found(view).sum()),
-                "without_colour": int(view.grey.sum()),
+                "heads": int(view.head_found.sum()),
+                "without_colour": int(view.colourless.sum()),
                 "reasons": dict(reasons),
             }
         )
@@ -216,7 +208,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
 
 
 def _remedy(
-    command: DetectPerson, session: Session, views: tuple[CameraViews, ...], following: Following | None
+    command: DetectPerson, session: Session, views: tuple[AbstractCameraEvidence, ...], following: Following | None
 ) -> str:
     """What helps where nobody could be followed."""
     if following is None or len(following.tracking.heads.people):

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.errors import FileFormatError, InsufficientDataError, UsageError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import natural_key
 from jaxpoint.io.frames import FrameSource
@@ -193,3 +193,19 @@ def _matched(sources: list[FrameSource], names: tuple[str, ...]):
         notes.append("No time of a frame is known, so moments count as 1 s apart; give the times in timestamps.csv.")
         times = (pairing.frame_ids - pairing.frame_ids[0]).astype(float)
     return pairing.frame_ids, times, pairing.index, notes
+
+
+def check_session(session: Session) -> None:
+    """Refuse a session in which no line can be measured, before anything is looked at.
+
+    Raises:
+        UsageError: it has no calibration.
+        InsufficientDataError: it has one camera.
+    """
+    if len(session.names) < 2:
+        raise InsufficientDataError(
+            f"'{session.folder}' has {len(session.names)} camera; a line in the room takes two views or more, so add a "
+            "second one."
+        )
+    if session.rig is None:
+        raise UsageError(f"'{session.folder}' has no calibration.json; give the room's by --calibration.")

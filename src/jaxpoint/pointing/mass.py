@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
-from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.pointing_line import PointingLine
 
 NEAR_M = 0.005  # nothing nearer before the tip is pointed at
 _REACH = 4.0  # standard deviations, beyond which a Gaussian has no mass

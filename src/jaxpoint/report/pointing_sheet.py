@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxpoint.io.files import StrPath, replacing
-from jaxpoint.report.person import titled
+from jaxpoint.report.contact_sheet import titled
 
 _GAP = 6
 _PAPER = (250, 248, 246)  # blue, green, red

@@ -1,0 +1,183 @@
+"""People through a recording: heads from all views to tracks, and each person's arm at each moment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxpoint.body.arm import PointingArm
+from jaxpoint.body.continuity import with_neighbours
+from jaxpoint.body.joint_arms import SeenArms, joint_arms
+from jaxpoint.body.limb_arms import find_arm, find_arm_again
+from jaxpoint.body.tracking.head_tracks import Tracking
+from jaxpoint.body.tracking.tracker import track_heads
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.config.track import TrackSettings
+from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
+from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
+
+HEAD_SIGMA = 0.07  # of its height, the error of a head's middle in one view
+CUT_HEAD_SIGMA = 0.15  # the same where much of it is outside the image
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how much of it is done, and how much there is."""
+ARM_M = 1.0  # from a head, the farthest that its arm is seen
+NEAREST_M = 0.3  # as near to a camera as a head is taken to be
+INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
+
+
+@dataclass(frozen=True)
+class Following:
+    """N people over F moments by C cameras."""
+
+    tracking: Tracking
+    sightings: Int[np.ndarray, "F N C"]  # which sighting of each camera is the person; -1 where none
+    arms: dict[tuple[int, int], PointingArm | None]  # by moment and person, where the person is in the room
+
+
+def follow(
+    rig: CameraRig,
+    views: Sequence[AbstractCameraEvidence],
+    times: Float[np.ndarray, " F"],
+    settings: TrackSettings | None = None,
+    *,
+    frame_ids: Int[np.ndarray, " F"] | None = None,
+    progress: Progress | None = None,
+) -> Following:
+    """Follow everybody and find their arms.
+
+    Args:
+        rig: the cameras, C of them, m.
+        views: what each camera saw of the same F moments.
+        times: s.
+        settings: of the head track.
+        frame_ids: numbers of the moments.
+        progress: called with what is done, how much of it, and how much there is.
+
+    Raises:
+        InsufficientDataError: fewer than two cameras.
+    """
+    pixels, valid, sigma, doubtful, index = _heads(views, len(times))
+
+    def tell(share: float) -> None:
+        if progress:
+            progress("heads", round(share * len(times)), len(times))
+
+    settings = settings or TrackSettings()
+    tracking = track_heads(
+        rig, pixels, valid, times, settings, sigma_px=sigma, doubtful=doubtful, frame_ids=frame_ids, progress=tell
+    )
+    with jax.enable_x64(True):
+        return _with_arms(rig, views, _with_sightings(rig, views, tracking, index), progress)
+
+
+def _with_sightings(
+    rig: CameraRig, views: Sequence[AbstractCameraEvidence], tracking: Tracking, index: Int[np.ndarray, "F C K"]
+) -> Following:
+    """Whose each sighting is."""
+    heads = tracking.heads
+    sightings = np.full(tracking.candidates.shape, -1)
+    projected, depth = np.asarray(rig.project(heads.positions)), np.asarray(rig.depth(heads.positions))
+    reach = ARM_M * np.asarray(rig.cameras.focal).mean(axis=1) / np.maximum(depth, NEAREST_M)  # px
+    for moment, person in np.argwhere(heads.present).tolist():
+        place = projected[moment, person]
+        sightings[moment, person] = [
+            _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
+            if depth[moment, person, c] > 0
+            else -1
+            for c in range(len(views))
+        ]
+    for moment, person, camera in np.argwhere((sightings < 0) & heads.present[..., None] & (depth > 0)).tolist():
+        others = sightings[moment, :, camera]
+        place = projected[moment, person, camera]
+        sightings[moment, person, camera] = _beside(
+            views[camera], moment, others, place, float(reach[moment, person, camera])
+        )
+    return Following(tracking, sightings, {})
+
+
+def _with_arms(
+    rig: CameraRig, views: Sequence[AbstractCameraEvidence], following: Following, progress: Progress | None
+) -> Following:
+    """The arms of everybody at every moment: by joints where views show them, else by outlines."""
+    heads = following.tracking.heads
+    projected = np.asarray(rig.project(heads.positions))
+
+    def people(moment: int, person: int) -> list[AbstractPersonEvidence | None]:
+        own = following.sightings[moment, person].tolist()
+        return [views[camera].person(sighting) if sighting >= 0 else None for camera, sighting in enumerate(own)]
+
+    def again(moment: int, person: int, other: int) -> PointingArm | None:
+        head, before = heads.positions[[moment, other], person]
+        arm = arms[other, person]
+        return None if arm is None else find_arm_again(rig, people(moment, person), head, arm, head - before)
+
+    present = [(int(moment), int(person)) for moment, person in np.argwhere(heads.present)]
+    seen = SeenArms.of([people(*one) for one in present])
+    arms = dict(zip(present, joint_arms(rig, seen, heads.positions[heads.present])))
+    for moment in range(len(heads.positions)):
+        for person in np.flatnonzero(heads.present[moment]).tolist():
+            if arms[moment, person] is None:
+                head, head_px = heads.positions[moment, person], projected[moment, person]
+                arms[moment, person] = find_arm(rig, people(moment, person), head, head_px)
+        if progress:
+            progress("arms", moment + 1, len(heads.positions))
+    for person in range(heads.present.shape[1]):
+        own = {moment: arm for (moment, who), arm in arms.items() if who == person}
+        agreed = with_neighbours(own, heads.times, lambda m, o, who=person: again(m, who, o))
+        arms.update({(moment, person): arm for moment, arm in agreed.items()})
+    return replace(following, arms=arms)
+
+
+def _heads(views: Sequence[AbstractCameraEvidence], moments: int):
+    """Candidates of heads as arrays (F, C, K).
+
+    Pixels, which there are, their errors (px), which are doubtful, and whose sighting each is.
+    """
+    most = max((int(np.bincount(view.moment).max(initial=1)) for view in views if len(view.moment)), default=1)
+    pixels = np.zeros((moments, len(views), most, 2))
+    valid = np.zeros((moments, len(views), most), bool)
+    sigma = np.ones((moments, len(views), most))
+    doubtful = np.zeros((moments, len(views), most), bool)
+    index = np.full((moments, len(views), most), -1)
+    for camera, view in enumerate(views):
+        found, whole = view.head_found, view.head_inside
+        place = np.arange(len(view.moment)) - np.searchsorted(view.moment, view.moment)
+        pixels[view.moment, camera, place] = view.head
+        valid[view.moment, camera, place] = found | view.head_cut
+        relative = np.where(found, HEAD_SIGMA, CUT_HEAD_SIGMA)
+        sigma[view.moment, camera, place] = np.maximum(1.0, relative * view.head_height)
+        doubtful[view.moment, camera, place] = ~(found & whole)
+        index[view.moment, camera, place] = np.arange(len(view.moment))
+    return pixels, valid, sigma, doubtful, index
+
+
+def _sighting(view: AbstractCameraEvidence, moment: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
+    """The sighting whose head was used; else the one whose box holds the head, the largest first."""
+    if used >= 0:
+        return int(index[used])
+    head = np.clip(head, 0, np.array(view.size) - 1)  # of who is cut by the image's border the rest is still there
+    for sighting in view.of(moment):
+        x, y, width, height = view.box[sighting]
+        margin = INSIDE * height
+        if x - margin <= head[0] <= x + width + margin and y - margin <= head[1] <= y + height:
+            return sighting
+    return -1
+
+
+def _beside(view: AbstractCameraEvidence, moment: int, others: np.ndarray, head: np.ndarray, reach: float) -> int:
+    """The nearest sighting of nobody else at the image's border, beyond which the head is: an arm that reaches in."""
+    size = np.array(view.size)
+    if ((head >= 0) & (head < size)).all():
+        return -1
+    best, least = -1, reach
+    for sighting in view.of(moment):
+        low, extent = view.box[sighting, :2], view.box[sighting, 2:]
+        cut = (low <= 0).any() or (low + extent >= size).any()
+        apart = float(np.linalg.norm(head - np.clip(head, low, low + extent)))
+        if cut and apart < least and sighting not in others:
+            best, least = sighting, apart
+    return best

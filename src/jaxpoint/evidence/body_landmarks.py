@@ -1,0 +1,115 @@
+"""Joints in single views, as pose estimators give them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence, FrameReason, HeadReason
+from jaxpoint.evidence.person_evidence import PLACE_OF, AbstractPersonEvidence, SeenJoints
+
+HEAD_SHARE = 0.13  # height of a head over that of a person
+LEAST_HEAD_PX = 10.0
+_FACES = (("left_ear", "right_ear"), ("head",), ("left_ear", "right_ear", "left_eye", "right_eye", "nose"))
+
+
+@dataclass(frozen=True)
+class BodyLandmarks:
+    """S people in single images, in order of moments, with J landmarks each (`JOINTS`)."""
+
+    moment: Int[np.ndarray, " S"]  # place among the session's moments, rising
+    camera: Int[np.ndarray, " S"]  # place among the session's cameras
+    pixels: Float[np.ndarray, "S J 2"]  # px
+    seen: Bool[np.ndarray, "S J"]
+    confidence: Float[np.ndarray, "S J"]
+
+
+@dataclass(frozen=True)
+class LandmarkPerson(AbstractPersonEvidence):
+    """Joints alone; nothing is known of the outline."""
+
+    found: SeenJoints
+
+    def joints(self) -> SeenJoints:
+        """The joints."""
+        return self.found
+
+
+@dataclass(frozen=True, kw_only=True)
+class LandmarkViews(AbstractCameraEvidence):
+    """The joints of people in one camera's images."""
+
+    pixels: Float[np.ndarray, "S J 2"]  # px
+    seen: Bool[np.ndarray, "S J"]
+    confidence: Float[np.ndarray, "S J"]
+
+    def person(self, sighting: int) -> LandmarkPerson:
+        """The joints of one sighting."""
+        return LandmarkPerson(SeenJoints(self.pixels[sighting], self.seen[sighting]))
+
+    @cached_property
+    def head_certainty(self) -> Float[np.ndarray, " S"]:
+        """The highest confidence of each person's landmarks."""
+        return self.confidence.max(axis=1, initial=0.0)
+
+
+def landmark_views(
+    landmarks: BodyLandmarks, sizes: Int[np.ndarray, "C 2"], has_image: Bool[np.ndarray, "F C"]
+) -> tuple[LandmarkViews, ...]:
+    """The landmarks camera by camera, with the head of each person.
+
+    Args:
+        landmarks: of all cameras.
+        sizes: of the images, px, width and height.
+        has_image: whether each camera has a frame at each moment.
+    """
+    return tuple(_view(landmarks, camera, sizes[camera], has_image[:, camera]) for camera in range(len(sizes)))
+
+
+def _view(
+    landmarks: BodyLandmarks, camera: int, size: Sequence[int] | Int[np.ndarray, "2"], has_image: Bool[np.ndarray, " F"]
+) -> LandmarkViews:
+    own = landmarks.camera == camera
+    pixels, seen, moment = landmarks.pixels[own], landmarks.seen[own], landmarks.moment[own]
+    box = _boxes(pixels, seen)
+    head, found = _heads(pixels, seen)
+    reasons = np.where(has_image, int(FrameReason.NOBODY), int(FrameReason.NO_IMAGE))
+    reasons[moment] = int(FrameReason.PERSON)
+    return LandmarkViews(
+        size=(int(size[0]), int(size[1])),
+        reasons=reasons,
+        moment=moment,
+        box=box,
+        head=head,
+        head_height=np.maximum(HEAD_SHARE * box[:, 3], LEAST_HEAD_PX),
+        head_reason=np.where(found, int(HeadReason.FOUND), int(HeadReason.UNLIKE)),
+        pixels=pixels,
+        seen=seen,
+        confidence=landmarks.confidence[own],
+    )
+
+
+def _boxes(pixels: Float[np.ndarray, "S J 2"], seen: Bool[np.ndarray, "S J"]) -> Int[np.ndarray, "S 4"]:
+    """Left, top, width and height of what is seen of each person, px."""
+    low = np.where(seen[..., None], pixels, np.inf).min(axis=1)
+    high = np.where(seen[..., None], pixels, -np.inf).max(axis=1)
+    return np.concatenate([np.floor(low), np.ceil(high - low) + 1], axis=1).astype(int)
+
+
+def _heads(
+    pixels: Float[np.ndarray, "S J 2"], seen: Bool[np.ndarray, "S J"]
+) -> tuple[Float[np.ndarray, "S 2"], Bool[np.ndarray, " S"]]:
+    """The middle of each head: between both ears, else as given, else the middle of the face."""
+    head, found = np.zeros((len(pixels), 2)), np.zeros(len(pixels), bool)
+    for names in _FACES:
+        place = [PLACE_OF[name] for name in names]
+        there = seen[:, place]
+        enough = there.any(axis=1) if names is _FACES[-1] else there.all(axis=1)
+        middle = np.where(there[..., None], pixels[:, place], 0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)[:, None]
+        head = np.where((enough & ~found)[:, None], middle, head)
+        found |= enough
+    return head, found

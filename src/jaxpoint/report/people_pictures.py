@@ -1,0 +1,125 @@
+"""Moments of a session as pictures: what was found, drawn into every camera's image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from jaxpoint.body.arm import ArmReason, PointingArm
+from jaxpoint.body.following import Following
+from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence, FrameReason
+from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.io.session import Session
+from jaxpoint.io.video import open_frames
+from jaxpoint.report.contact_sheet import PersonView, contact_sheet
+
+MOMENTS = 6  # shown
+
+
+def sheets(
+    session: Session, views: Sequence[AbstractCameraEvidence], following: Following | None
+) -> list[tuple[str, UInt8[np.ndarray, "H W 3"]]]:
+    """A caption and a sheet of all cameras (red, green, blue) for a few telling moments."""
+    chosen = telling_moments(views, following)
+    images = [images_of(session, camera, chosen) for camera in range(len(session.names))]
+    pictures = []
+    for place, moment in enumerate(chosen):
+        cells = [
+            _view(session, view, following, camera, moment, image)
+            for camera, view in enumerate(views)
+            if (image := images[camera][place]) is not None
+        ]
+        if cells:
+            sheet = contact_sheet(cells, columns=3, zoom=following is not None)
+            pictures.append((_caption(session, following, moment), sheet[..., ::-1]))
+    return pictures
+
+
+def telling_moments(
+    views: Sequence[AbstractCameraEvidence], following: Following | None, count: int = MOMENTS
+) -> list[int]:
+    """Moments with an arm stretched out far, well apart from each other; without arms, those seen by most cameras."""
+    worth = np.sum([view.reasons == FrameReason.PERSON for view in views], axis=0).astype(float)
+    if following is not None:
+        for (moment, _), arm in following.arms.items():
+            worth[moment] += 0.0 if arm is None else 10.0 * arm.stretch
+    return well_apart(worth, count)
+
+
+def well_apart(worth: Float[np.ndarray, " F"], count: int = MOMENTS) -> list[int]:
+    """The moments that are worth most, and anything, well apart from each other; in their order."""
+    moments = len(worth)
+    chosen: list[int] = []
+    apart = max(1, moments // (2 * count))
+    for moment in np.argsort(-worth, kind="stable"):
+        if worth[moment] > 0 and all(abs(moment - other) >= apart for other in chosen):
+            chosen.append(int(moment))
+        if len(chosen) == count:
+            break
+    return sorted(chosen)
+
+
+def images_of(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
+    """One camera's images of some moments; None where it has none."""
+    index = session.frame_index[moments, camera]
+    found = dict(open_frames(session.videos[camera]).readable(np.unique(index[index >= 0])))
+    return [found.get(int(frame)) for frame in index]
+
+
+def _caption(session: Session, following: Following | None, moment: int) -> str:
+    text = f"Moment {session.moments[moment]}, {session.times[moment]:.2f} s"
+    if following is None:
+        return text
+    people = following.tracking.heads.people
+    arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == moment and arm is not None]
+    told = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
+    return "; ".join([text, *told])
+
+
+def _view(
+    session: Session,
+    view: AbstractCameraEvidence,
+    following: Following | None,
+    camera: int,
+    moment: int,
+    image: np.ndarray,
+) -> PersonView:
+    own = view.of(moment)
+    masks, heads = [], []
+    for sighting in own:
+        if (mask := _mask(view, sighting)) is not None:
+            masks.append(mask)
+        if view.head_found[sighting]:
+            heads.append((*view.head[sighting].tolist(), float(view.head_height[sighting])))
+    title = f"{session.names[camera]}, {session.moments[moment]}"
+    reason = FrameReason(int(view.reasons[moment]))
+    text = "" if reason == FrameReason.PERSON else reason.name.lower().replace("_", " ")
+    arm = _arm_of(following, moment)
+    if arm is None:
+        return PersonView(image, title, masks, heads, reason=text)
+    seen = arm.views[camera]
+    if seen.reason != ArmReason.FOUND:
+        return PersonView(image, title, masks, heads, reason=text or f"arm {seen.reason.name.lower()}")
+    tip, base = tuple(seen.tip.tolist()), tuple(seen.base.tolist())
+    return PersonView(image, title, masks, heads, axis=(base, tip), tip=tip, base=base, reason=text)
+
+
+def _arm_of(following: Following | None, moment: int) -> PointingArm | None:
+    """The arm of the person who stretches it out farthest at a moment."""
+    if following is None:
+        return None
+    arms = [arm for (at, _), arm in following.arms.items() if at == moment and arm is not None]
+    return max(arms, key=lambda arm: arm.stretch, default=None)
+
+
+def _mask(view: AbstractCameraEvidence, sighting: int) -> np.ndarray | None:
+    """The pixels of a person in the whole image; None where its outline is unknown."""
+    found = view.labels(sighting)
+    if found is None:
+        return None
+    labels, (x, y) = found
+    mask = np.zeros((view.size[1], view.size[0]), bool)
+    mask[y : y + labels.shape[0], x : x + labels.shape[1]] = labels != Pixel.NOTHING
+    return mask
