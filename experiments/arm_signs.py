@@ -73,7 +73,7 @@ def _limbs_of_session(job: tuple[int, int, int]) -> list[dict]:
 
 
 def _limbs_of_moment(pixels, moment: int) -> list[dict]:
-    from jaxpoint.body.limb_arms import measured_limbs
+    from jaxpoint.body.limb_arms import measure_limbs
 
     session, gesture, following = pixels.session, pixels.gesture, pixels.following
     heads, row, truth = following.tracking.heads, pixels.moments.index(moment), pixels.joints(moment)
@@ -86,7 +86,7 @@ def _limbs_of_moment(pixels, moment: int) -> list[dict]:
             continue
         own = following.sightings[row, person].tolist()
         crops = [None if s < 0 else pixels.seen[c].person(s) for c, s in enumerate(own)]
-        for limb in measured_limbs(session.rig, crops, head, np.asarray(session.rig.project(head))):
+        for limb in measure_limbs(session.rig, crops, head, np.asarray(session.rig.project(head))):
             off = np.degrees(np.arccos(np.clip(limb.direction @ true_axis, -1, 1)))
             tip = float(np.linalg.norm(limb.tip - truth[f"{gesture.hand}_tip"]))
             right = bool(off < RIGHT_DEG and tip < RIGHT_M)

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxpoint.body.arm import ArmReason, PointingArm
 from jaxpoint.body.limb_arms import find_arm
+from jaxpoint.body.strip_pixels import StripPixels
 from jaxpoint.config.person import MarkerSettings, ThesisSettings
 from jaxpoint.detection.person.marker_regions import MarkerModel
 from jaxpoint.detection.person.thesis_regions import thesis_finger
@@ -168,6 +169,7 @@ def _view_score(
     own = None if arm is None else arm.views[frame.camera]
     region = None
     if arm is not None and own is not None and own.reason == ArmReason.FOUND:
+        assert isinstance(arm.pixels, StripPixels)
         region = _polygon(arm.pixels.strip(frame.camera), own.tip, labels.shape)
     person, found = pixels.largest[frame.frame, frame.camera], pixels.forearms[frame.frame, frame.camera]
     forearm = None if found is None else _mask_of(found, labels.shape)

@@ -31,13 +31,13 @@ from jaxpoint.commands.console import table
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.evidence.limbs import SLICES
 from jaxpoint.geometry.angles import turned
-from jaxpoint.pointing.answers import Scene, answers
+from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import Constant
 from jaxpoint.pointing.bias.spread import Spread
 from jaxpoint.pointing.held_joints import held_joints
 from jaxpoint.pointing.holds import Hold
-from jaxpoint.pointing.line_hypotheses import Correction, correction_of, hypotheses
+from jaxpoint.pointing.line_hypotheses import Correction, correction_of, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.room import Room
 from jaxpoint.pointing.shapes import Rectangle
@@ -68,7 +68,7 @@ class Given:
     rig: CameraRig
     following: Following
     hold: Hold
-    scene: Scene
+    scene: ObjectScene
     camera_covariance: np.ndarray
     correction: Correction
     target: str
@@ -97,7 +97,7 @@ def answered(given: Given, *, known: bool) -> str:
     """The sentence."""
     with jax.enable_x64(True):
         joints = held_joints(given.rig, given.following, [given.hold], given.camera_covariance if known else None)
-        ways = hypotheses(joints, "auto", None, given.correction)
+        ways = line_hypotheses(joints, "auto", None, given.correction)
         return sentence(answers([given.hold], joints, ways, given.scene, [1], [0], known_errors=known)[0])
 
 
@@ -133,7 +133,7 @@ def drawn(options: GestureTime) -> Given:
     behaviour = Spread(np.deg2rad(4.0) ** 2 * np.eye(2), 8)
     bias = Bias(("forearm",), Constant(BIAS), behaviour, behaviour.scale, behaviour,
                 Fitted("", 0, 0, 0, None, None))  # fmt: skip
-    scene = Scene(objects, centres, Room(np.zeros(3), room.size), True)
+    scene = ObjectScene(objects, centres, Room(np.zeros(3), room.size), True)
     spread = np.tile([*[1e-3] * 6, *[1.0] * 4, *[1e-4] * 5], len(rig))
     following = _following(rig, head, times, arms)
     return Given(rig, following, hold, scene, np.diag(spread**2), correction_of(bias), room.objects[target].name)

@@ -133,7 +133,7 @@ def axes(options: Small) -> list[Way]:
             return value * jnp.sqrt(shares) * jnp.sqrt(jnp.where(square > 0, jnp.log1p(square) / safe, 1.0))
 
         def narrower(offsets: Array, scale: Array) -> tuple[Array, None]:
-            return least_squares(residuals, offsets, (scale, axis._counted(given, offsets))), None
+            return least_squares(residuals, offsets, (scale, axis._slice_weights(given, offsets))), None
 
         scales = jnp.asarray([8.0, 2.0, 1.0, 1.0])  # which slices count is found anew before each
         return jnp.concatenate(found_ends(rays, tip, direction, jax.lax.scan(narrower, jnp.zeros(4), scales)[0]))

@@ -9,7 +9,7 @@ from tests.body.capsules import capsule_person, draw, evidence
 from tests.body.test_limb_arms import PLACE, degrees_between, random_rig, unit
 
 from jaxpoint.body.arm_features import WEIGHTS, arm_features
-from jaxpoint.body.limb_arms import measured_limbs
+from jaxpoint.body.limb_arms import measure_limbs
 from jaxpoint.body.strips import Strip
 from jaxpoint.detection.person.crop import Crop
 from jaxpoint.evidence.limbs import Pixel
@@ -27,7 +27,7 @@ def drawn():
 
 
 def limbs_of(rig, crops, head):
-    return list(measured_limbs(rig, evidence(crops), head, np.asarray(rig.project(head))))
+    return list(measure_limbs(rig, evidence(crops), head, np.asarray(rig.project(head))))
 
 
 def the_arm(limbs):

@@ -7,13 +7,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.body.joints import estimated_covariance, other_eye
+from jaxpoint.body.joints import joints_with_covariance, other_eye
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.aiming_eye import MOST_SURE, learnt_eyes
-from jaxpoint.pointing.answers import Scene, answers
+from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.holds import Hold
-from jaxpoint.pointing.line_hypotheses import Hypothesis, hypotheses
+from jaxpoint.pointing.line_hypotheses import LineHypothesis, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour
@@ -25,12 +25,12 @@ PEOPLE = [7, 3, 7, 3, 3]
 MARGINAL = np.array([[0.2, 1.0, 0.3, 0.5, 0.1], [0.6, 0.4, 0.5, 1.5, 9.0], [0.1, 0.3, 0.2, 0.1, 0.4]])
 
 
-def ways(aiming: np.ndarray) -> list[Hypothesis]:
+def ways(aiming: np.ndarray) -> list[LineHypothesis]:
     count = len(aiming)
     lines = PointingLine(Ray(np.zeros((count, 3)), np.zeros((count, 3))), np.zeros((count, 6, 6)))
     weights = (0.7 * aiming, 0.3 * aiming, 1 - aiming)
     return [
-        Hypothesis("", lines, weight, Behaviour(), np.zeros((count, 3, 3)), aims)
+        LineHypothesis("", lines, weight, Behaviour(), np.zeros((count, 3, 3)), aims)
         for weight, aims in zip(weights, (True, True, False))
     ]
 
@@ -72,7 +72,7 @@ def card(origin, direction) -> Rectangle:
 
 
 @pytest.fixture(scope="module")
-def aimed() -> tuple[HeldJoints, Scene]:
+def aimed() -> tuple[HeldJoints, ObjectScene]:
     """Four gestures with the eye away from the hand; in the first the other eye's line meets something, too."""
     held, things = [], []
     for i, turn in enumerate(np.deg2rad([-50.0, -10.0, 30.0, 70.0])):
@@ -82,13 +82,13 @@ def aimed() -> tuple[HeldJoints, Scene]:
         elbow = tip - 0.42 * ahead + 0.12 * right - [0, 0, 0.12]
         wrist = tip - 0.17 * ahead + 0.02 * right
         places = np.concatenate([head, elbow, wrist, tip])
-        held.append(estimated_covariance(jnp.asarray(places), jnp.eye(12) * 0.004**2))
+        held.append(joints_with_covariance(jnp.asarray(places), jnp.eye(12) * 0.004**2))
         for eye, name in ((other_eye(held[-1][0]), "meant"), (held[-1][0], "beside"))[: 2 if i == 0 else 1]:
             direction = np.asarray(eye.tip - eye.eye)
             things.append(Thing(f"{name} {i}", card(tip, direction / np.linalg.norm(direction))))
     joints, covariance = jax.tree.map(lambda *leaves: jnp.stack(leaves), *held)
     centres = np.array([np.asarray(thing.shape.corners).mean(axis=0) for thing in things])
-    scene = Scene(Objects.of(things), centres, Room(np.zeros(3), np.array([6.0, 6.0, 3.0])), True)
+    scene = ObjectScene(Objects.of(things), centres, Room(np.zeros(3), np.array([6.0, 6.0, 3.0])), True)
     return HeldJoints(joints, covariance, jnp.zeros_like(covariance), np.zeros(4, int)), scene
 
 
@@ -96,7 +96,7 @@ def aimed() -> tuple[HeldJoints, Scene]:
 def test_a_persons_other_gestures_tell_the_eye(aimed, person, named):
     held, scene = aimed
     holds = [Hold(who, np.arange(2), np.array([0.0, 1.0]) + i, 5) for i, who in enumerate(person)]
-    told = answers(holds, held, hypotheses(held, "auto"), scene, range(4), [0] * 4)
+    told = answers(holds, held, line_hypotheses(held, "auto"), scene, range(4), [0] * 4)
     assert [answer.name for answer in told] == [named, "meant 1", "meant 2", "meant 3"]
     assert told[0].line == "eye-fingertip"
     assert [place.name for place in told[0].hits] == [named]

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxpoint.pointing.answers import Answer, Place, Scene, _by_words, _meant, _without_words
+from jaxpoint.pointing.answers import Answer, ObjectScene, Place, _by_words, _meant, _without_words
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.room import Room
 from jaxpoint.pointing.shapes import Box, Sphere
@@ -25,8 +25,8 @@ WALL = Place("the floor", 3.0, np.array([3.0, 0.0, 0.0]))
 
 
 @pytest.fixture(scope="module")
-def scene() -> Scene:
-    return Scene(Objects.of(THINGS), CENTRES, Room(-3 * np.ones(3), 3 * np.ones(3)), True)
+def scene() -> ObjectScene:
+    return ObjectScene(Objects.of(THINGS), CENTRES, Room(-3 * np.ones(3), 3 * np.ones(3)), True)
 
 
 def answered(name: str, *, words: tuple[str, ...] = (), point: np.ndarray | None = None) -> Answer:

@@ -18,7 +18,7 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.io.objects import read_objects
 from jaxpoint.io.scene import read_scene
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.mass import View, across
+from jaxpoint.pointing.mass import OutlineView, across
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour, posterior
@@ -207,7 +207,7 @@ def test_its_mass_has_derivatives(table):
     start = jnp.asarray(start / np.linalg.norm(start))
 
     def mass(direction):
-        view = View.of(PointingLine(Ray(TIP, direction), 1e-4 * jnp.eye(6)), jnp.diag(SPREAD**2), 4)
+        view = OutlineView.of(PointingLine(Ray(TIP, direction), 1e-4 * jnp.eye(6)), jnp.diag(SPREAD**2), 4)
         return shapes.primitives[0].masses(view)[0]
 
     slopes = jit_once(jax.value_and_grad(mass))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_t
 
-from jaxpoint.body.joints import estimated_covariance
+from jaxpoint.body.joints import joints_with_covariance
 from jaxpoint.geometry.angles import azimuth_elevation
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.answers import Scene, answers
+from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.holds import Hold
-from jaxpoint.pointing.line_hypotheses import Hypothesis, People, hypotheses
+from jaxpoint.pointing.line_hypotheses import LineHypothesis, People, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.personal_offsets import Offsets, learnt_offsets, turned_lines
 from jaxpoint.pointing.pointing_line import PointingLine
@@ -27,11 +27,11 @@ OTHERS, WRONG = np.array([0.3, 0.2, 0.1, 0.5, 0.2, 0.05]), np.array([0.02, 0.15,
 WEIGHT = np.array([0.9, 0.4, 0.6, 0.8, 0.99, 0.7])
 
 
-def way() -> Hypothesis:
+def way() -> LineHypothesis:
     turn = np.linspace(0.0, 1.0, len(WHO))
     direction = np.stack([np.cos(turn), np.sin(turn), 0.1 * turn], axis=1)
     lines = PointingLine(Ray(np.zeros((len(WHO), 3)), direction), np.zeros((len(WHO), 6, 6)))
-    return Hypothesis("forearm", lines, WEIGHT, Behaviour(), np.zeros((len(WHO), 3, 3)), people=PEOPLE)
+    return LineHypothesis("forearm", lines, WEIGHT, Behaviour(), np.zeros((len(WHO), 3, 3)), people=PEOPLE)
 
 
 def density(azimuth, elevation):
@@ -84,7 +84,7 @@ def test_offsets_are_those_of_bayes():
 
 def test_nothing_is_learnt_where_nobody_points_twice_or_people_are_not_known():
     assert learnt_offsets(way(), OTHERS, WRONG, range(6), LEFT, ask) is None
-    with_none = Hypothesis("", way().lines, WEIGHT, Behaviour(), np.zeros((6, 3, 3)))
+    with_none = LineHypothesis("", way().lines, WEIGHT, Behaviour(), np.zeros((6, 3, 3)))
     assert learnt_offsets(with_none, OTHERS, WRONG, WHO, LEFT, ask) is None
 
 
@@ -107,7 +107,7 @@ def card(middle, name) -> Thing:
     return Thing(name, Rectangle(middle + sides))
 
 
-def pointed(hand: str) -> tuple[HeldJoints, Scene]:
+def pointed(hand: str) -> tuple[HeldJoints, ObjectScene]:
     """Four gestures of a bent arm at cards on a wall; the line of the first meets another one."""
     side, held, things = (1.0 if hand == "right" else -1.0), [], []
     head = np.array([1.0, 3.0, 1.6])
@@ -117,13 +117,13 @@ def pointed(hand: str) -> tuple[HeldJoints, Scene]:
         straight = PointingLine(Ray(tip[None], (meant - tip)[None] / np.linalg.norm(meant - tip)), np.zeros((1, 6, 6)))
         ahead = np.asarray(turned_lines(straight, -OFFSET[None], np.array([side < 0])).ray.direction[0])
         places = np.concatenate([head, tip - 0.42 * ahead, tip - 0.17 * ahead, tip])
-        held.append(estimated_covariance(jnp.asarray(places), jnp.eye(12) * 0.003**2))
+        held.append(joints_with_covariance(jnp.asarray(places), jnp.eye(12) * 0.003**2))
         things.append(card(meant, f"meant {i}"))
         if i == 0:
             things.append(card(tip + ahead * (5.0 - tip[0]) / ahead[0], "met"))
     joints, covariance = jax.tree.map(lambda *leaves: jnp.stack(leaves), *held)
     centres = np.array([np.asarray(thing.shape.corners).mean(axis=0) for thing in things])
-    scene = Scene(Objects.of(things), centres, Room(np.zeros(3), np.array([6.0, 6.0, 3.0])), True)
+    scene = ObjectScene(Objects.of(things), centres, Room(np.zeros(3), np.array([6.0, 6.0, 3.0])), True)
     return HeldJoints(joints, covariance, jnp.zeros_like(covariance), np.zeros(4, int)), scene
 
 
@@ -132,7 +132,7 @@ def pointed(hand: str) -> tuple[HeldJoints, Scene]:
 def test_a_persons_other_gestures_tell_the_offset(hand, kind):
     with jax.enable_x64(True):
         held, scene = pointed(hand)
-        ways = hypotheses(held, kind)
+        ways = line_hypotheses(held, kind)
         apart, one = (
             answers(
                 [Hold(who, np.arange(2), np.array([0.0, 1.0]) + i, 5) for i, who in enumerate(people)],

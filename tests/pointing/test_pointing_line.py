@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from jaxpoint.body.joints import Joints, estimated, estimated_covariance, other_eye
+from jaxpoint.body.joints import Joints, estimate_joints, joints_with_covariance, other_eye
 from jaxpoint.pointing.held_mean import held_mean
 from jaxpoint.pointing.pointing_line import KINDS, pointing_lines, pointing_ray, weights_of
 
@@ -25,7 +25,7 @@ def batch(joints: Joints) -> Joints:
 
 
 def test_every_line_goes_through_its_joints():
-    joints = estimated(HEAD, ELBOW, WRIST, TIP)
+    joints = estimate_joints(HEAD, ELBOW, WRIST, TIP)
     hand = (WRIST + TIP) / 2
     wanted = {
         "forearm": WRIST - ELBOW,
@@ -52,7 +52,7 @@ def test_weights_that_make_no_line_are_refused(wrong):
 def test_the_covariance_of_a_line_is_that_of_many_noisy_arms():
     rng = np.random.default_rng(0)
     root = 0.004 * rng.normal(size=(12, 12))
-    joints, covariance = estimated_covariance(MEASURED, root @ root.T)
+    joints, covariance = joints_with_covariance(MEASURED, root @ root.T)
     drawn = MEASURED + rng.normal(size=(20_000, 12)) @ root.T
     for kind in ("forearm", "finger", "head-hand"):  # of measured joints alone
         line = pointing_lines(batch(joints), covariance[None], weights_of(kind)[None])
@@ -69,7 +69,7 @@ def test_the_covariance_of_a_line_is_that_of_many_noisy_arms():
 @pytest.mark.parametrize("kind", KINDS)
 def test_derivatives_are_those_of_finite_differences(kind):
     def direction(flat):
-        joints = estimated(*(flat[3 * i : 3 * i + 3] for i in range(4)))
+        joints = estimate_joints(*(flat[3 * i : 3 * i + 3] for i in range(4)))
         return pointing_ray(joints, weights_of(kind)).direction
 
     step = np.random.default_rng(1).normal(size=12)
@@ -84,7 +84,7 @@ def test_derivatives_are_those_of_finite_differences(kind):
 def test_eye_and_shoulder_lie_on_the_side_of_the_arm(side):
     """Of both arms, mirrored, and wherever the person faces."""
     mirror = np.array([1.0, side, 1.0])
-    joints = estimated(*(mirror * place for place in (HEAD, ELBOW, WRIST, TIP)))
+    joints = estimate_joints(*(mirror * place for place in (HEAD, ELBOW, WRIST, TIP)))
     gaze = unit(mirror * (TIP - HEAD))
     left = unit(np.cross(UP, gaze))
     arm = -side  # of the elbow, in y to the left
@@ -96,7 +96,7 @@ def test_eye_and_shoulder_lie_on_the_side_of_the_arm(side):
     np.testing.assert_allclose(between @ left, 0, atol=1e-12)
     assert 0.05 < between @ gaze < 0.1
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    turned = estimated(*(turn @ (mirror * place) for place in (HEAD, ELBOW, WRIST, TIP)))
+    turned = estimate_joints(*(turn @ (mirror * place) for place in (HEAD, ELBOW, WRIST, TIP)))
     np.testing.assert_allclose(turned.eye, turn @ np.asarray(joints.eye), atol=1e-12)
 
 

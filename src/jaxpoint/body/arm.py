@@ -1,4 +1,4 @@
-"""An arm in the room, what each view says of it, and the pixels that it was made from."""
+"""An arm in the room, what each view shows of it, and the pixels that it was measured from."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from jaxpoint.geometry.arrays import AnyArray
 
 
 class ArmReason(IntEnum):
-    """Why a view has no say in an arm, or FOUND."""
+    """Why a view is not used for an arm, or FOUND."""
 
     FOUND = 0
     NO_IMAGE = 1  # no frame of this camera at this moment
@@ -26,7 +26,7 @@ class ArmReason(IntEnum):
     OUTSIDE = 4  # behind the camera or outside its image
     FORESHORTENED = 5  # the arm points along the line of sight
     HIDDEN = 6  # too few slices with two edges: covered, or merged with what is behind
-    DISAGREES = 7  # its middle line is not the common axis
+    DISAGREES = 7  # its middle line does not lie on the common axis
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class AbstractArmPixels(eqx.Module):
 
 @dataclass(frozen=True)
 class PointingArm:
-    """An arm in the room, and what each of C views says of it."""
+    """An arm in the room, and what each of C views shows of it."""
 
     tip: Float[np.ndarray, "3"]  # m
     tip_spread: float  # m, rms distance of the views' rays from the tip
@@ -75,5 +75,5 @@ class PointingArm:
 
     @property
     def counted(self) -> int:
-        """Number of views that have a say."""
+        """Number of views that are used."""
         return sum(view.reason == ArmReason.FOUND for view in self.views)

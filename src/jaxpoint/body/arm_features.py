@@ -22,8 +22,8 @@ from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 ELBOW_M = 0.33  # from the middle between the shoulders to the elbow of an arm that points
 BEYOND_M = (0.03, 0.12)  # behind the tip, where nothing of the person should be
-MIN_SLICES = 8  # of a view whose widths say how the limb widens
-MOST_PAST = 2  # more views that look past it say no more
+MIN_SLICES = 8  # of a view whose widths show how the limb widens
+MOST_PAST = 2  # more views that look past it count no more
 _HAND, _BEHIND = 6, 5  # places that are looked at
 # Where nothing can be seen, as of a hand that no view holds whole: the mean of arms and others.
 _UNSEEN_HAND, _UNSEEN_BEYOND = 0.6, 0.3
@@ -74,7 +74,7 @@ def arm_features(
         head: centre of the head, m.
         axis: of the forearm.
         tip: of the hand, m.
-        strips: the forearm in each view that has a say.
+        strips: the forearm in each view that is used.
         forearm_m: from the tip to the wrist and to the elbow, m.
         past: views that look past it.
     """

@@ -1,4 +1,4 @@
-"""Arms over time: a moment that its neighbours contradict is looked at again where they promise the arm.
+"""Arms over time: a moment that its neighbours contradict is looked at again where they predict the arm.
 
 Single moments fail where views merge an arm with what is behind it; a moment later they do not. Nothing is smoothed:
 an answer always comes from the images of its own moment, or is withdrawn.
@@ -36,12 +36,12 @@ def with_neighbours(
     Args:
         arms: by moment, None where none was found.
         times: of all moments, s.
-        again: looks for the arm of the first moment where that of the second promises it.
+        again: looks for the arm of the first moment where that of the second predicts it.
     """
     arms = dict(arms)
     for _ in range(ROUNDS):
         changed = {
-            moment: new for moment in arms if (new := _reconsidered(arms, times, moment, again)) is not arms[moment]
+            moment: new for moment in arms if (new := _reconsider(arms, times, moment, again)) is not arms[moment]
         }
         if not changed:
             break
@@ -49,7 +49,7 @@ def with_neighbours(
     return arms
 
 
-def _reconsidered(arms: Arms, times: np.ndarray, moment: int, again: Again) -> PointingArm | None:
+def _reconsider(arms: Arms, times: np.ndarray, moment: int, again: Again) -> PointingArm | None:
     own = arms[moment]
     others = {
         m: arm

@@ -159,7 +159,7 @@ def _sighting(view: AbstractCameraEvidence, moment: int, index: np.ndarray, used
     """The sighting whose head was used; else the one whose box holds the head, the largest first."""
     if used >= 0:
         return int(index[used])
-    head = np.clip(head, 0, np.array(view.size) - 1)  # of who is cut by the image's border the rest is still there
+    head = np.clip(head, 0, np.array(view.size) - 1)  # the rest of a person cut by the image's border is still there
     for sighting in view.of(moment):
         x, y, width, height = view.box[sighting]
         margin = INSIDE * height

@@ -11,7 +11,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
 from jaxpoint.triangulation import triangulate
 
-ENOUGH = 5  # heads whose height tells something
+ENOUGH = 5  # fewest heads whose height is used
 AGREED_PX = 20.0  # by which two views of one head may miss each other
 UNITS = {"cm": 100.0, "mm": 1000.0}  # in a metre
 
@@ -31,7 +31,7 @@ def head_height(rig: CameraRig, views: Sequence[AbstractCameraEvidence], moments
 
 
 def height_remedy(height: float | None, low: float, high: float) -> str:
-    """What a height of heads beside `low` to `high` (m) says of the calibration; nothing where it lies between."""
+    """What a height of heads outside `low` to `high` (m) means for the calibration; nothing where it lies between."""
     if height is None or low <= height <= high:
         return ""
     where = f"The heads come out at {height:.3g} m (z), where people have {low:g} to {high:g} m"

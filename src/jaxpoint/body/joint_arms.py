@@ -23,7 +23,7 @@ from jaxpoint.triangulation import triangulate
 FOREARM_M = (0.15, 0.40)  # a longer or shorter one is a mistaken side
 SIDES = ("left", "right")
 ARM = ("elbow", "wrist", "index")
-GROSS = 0.01  # of the image's width: rms of a joint's views beyond which it is none; beyond half, views are left out
+GROSS = 0.01  # of the image's width: rms beyond which a joint is left out; beyond half of it, single views are
 ROUNDS = 3  # of leaving out one view
 _ARM_PLACES = [PLACE_OF[f"{side}_{part}"] for side in SIDES for part in ARM]
 _LEAST_M = 1e-6  # of a forearm, by whose length is divided
@@ -83,7 +83,7 @@ def joint_arms(rig: CameraRig, arms: SeenArms, heads: Float[np.ndarray, "R 3"]) 
     """
     if not arms.seen.any():
         return [None] * len(heads)
-    joints = _triangulated_joints(rig, arms)
+    joints = _triangulate_joints(rig, arms)
     found = []
     for row, head in enumerate(heads):
         both = [_arm(rig, joints.of(row, slice(3 * side, 3 * side + 3)), head) for side in range(len(SIDES))]
@@ -107,7 +107,7 @@ class _Joints:
         return _Joints(*(getattr(self, one.name)[row, joints] for one in fields(self)))
 
 
-def _triangulated_joints(rig: CameraRig, arms: SeenArms) -> _Joints:
+def _triangulate_joints(rig: CameraRig, arms: SeenArms) -> _Joints:
     """Joints in the room; a view that is grossly off, as of a mistaken side, is left out."""
     gross = GROSS * float(np.asarray(rig.image_sizes)[:, 0].max())
     pixels, used = arms.pixels, arms.seen.copy()

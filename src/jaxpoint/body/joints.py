@@ -42,14 +42,14 @@ class Joints(eqx.Module):
         return Joints(*(as_float(flat)[..., 3 * i : 3 * i + 3] for i in range(COUNT)))
 
 
-def estimated(
+def estimate_joints(
     head: Float[AnyArray, "3"], elbow: Float[AnyArray, "3"], wrist: Float[AnyArray, "3"], tip: Float[AnyArray, "3"]
 ) -> Joints:
-    """All joints of who stands or sits with head, forearm and tip there (m): the eye and the shoulder are estimated.
+    """All joints of a person by head, forearm and tip (m): the eye and the shoulder are estimated.
 
-    The head looks at the hand, and the trunk faces it. Which arm it is, the elbow tells: it stands out to its own
-    side. The eye is the one on that side (SPEC 6; `other_eye` gives the other). The shoulder hangs as far under the
-    head as that of somebody of this height who stands; of who sits it is about the same, for the trunk is.
+    The head looks at the hand, and the trunk faces it. The elbow shows which arm it is: it stands out to its own side.
+    The eye is the one on that side (`other_eye` gives the other). The shoulder hangs as far under the head as that of a
+    standing person of this height; of a seated person it is about the same, since the trunk is.
     """
     head, elbow, wrist, tip = as_float(head), as_float(elbow), as_float(wrist), as_float(tip)
     stature = jnp.clip(head[2] + HEAD_M / 2, SMALLEST_M, TALLEST_M)
@@ -75,12 +75,12 @@ def is_left(joints: Joints) -> Bool[Array, ""]:
 
 
 def _left(head: Array, tip: Array) -> Array:
-    """Unit, level, to the left of who looks from the head at the tip."""
+    """Unit, level, to the left of a person who looks from the head at the tip."""
     gaze = tip - head
     return normalised(jnp.stack([-gaze[1], gaze[0], jnp.zeros_like(gaze[0])]))
 
 
-def estimated_covariance(
+def joints_with_covariance(
     measured: Float[AnyArray, "12"], covariance: Float[AnyArray, "12 12"]
 ) -> tuple[Joints, Float[Array, "18 18"]]:
     """Joints from head, elbow, wrist and tip (m) with their covariance (m^2), and that of all joints.
@@ -90,7 +90,7 @@ def estimated_covariance(
     measured, covariance = as_float(measured), as_float(covariance)
 
     def joints(flat: Array) -> Array:
-        return estimated(*(flat[3 * i : 3 * i + 3] for i in range(4))).flat
+        return estimate_joints(*(flat[3 * i : 3 * i + 3] for i in range(4))).flat
 
     by_measured = jax.jacfwd(joints)(measured)
     own = jnp.repeat(jnp.array([0.0, EYE_SIGMA_M, SHOULDER_SIGMA_M, 0.0, 0.0, 0.0], measured.dtype) ** 2, 3)

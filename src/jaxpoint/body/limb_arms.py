@@ -31,10 +31,10 @@ LEAST = -1.0  # log odds of the least likely arm that is an answer
 ROUNDS = 3  # of predicting, measuring, fitting
 MIN_SLICES = 6  # of a view that counts
 ONE_EDGE_SLICES = 10  # of a view in which only one of the limb's edges is seen
-FORESHORTENED = np.deg2rad(15.0)  # a limb nearer to the line of sight says nothing of its direction (thesis 7.3)
+FORESHORTENED = np.deg2rad(15.0)  # a limb nearer to the line of sight does not show its direction (thesis 7.3)
 HANGS_M = 0.3  # from the body's upright axis: a tip that is nearer does not point
 BEND_M = 0.14  # from the forearm's axis to the tip of a bent hand; farther out is another limb's
-SIGMA = np.deg2rad(10.0)  # of a direction that still says something
+SIGMA = np.deg2rad(10.0)  # of the least certain direction that is used
 AGREES = 2.5  # a view's middle line lies within so many of these errors of the common axis
 MOST_TIPS = 3  # candidates of a tip in one view
 MOST_LIMBS = 12  # long ends of one view that are looked at
@@ -87,10 +87,10 @@ def find_arm(
         head: centre of the head, m.
         head_px: the same in each image.
     """
-    if _outlined(people) < 2:
+    if _count_outlined(people) < 2:
         return None
     best, most = None, LEAST
-    for limb in measured_limbs(rig, people, head, head_px):
+    for limb in measure_limbs(rig, people, head, head_px):
         log_odds = limb.features.log_odds if limb.features is not None else LEAST
         if log_odds > most:
             best, most = limb, log_odds
@@ -99,7 +99,7 @@ def find_arm(
     return best
 
 
-def measured_limbs(
+def measure_limbs(
     rig: CameraRig, people: People, head: Float[np.ndarray, "3"], head_px: Float[np.ndarray, "C 2"]
 ) -> Iterator[PointingArm]:
     """All limbs of a person that two views or more agree on and that do not hang, the farthest reaching first.
@@ -113,7 +113,7 @@ def measured_limbs(
     for arm in arms:
         if stretch(arm.tip, head) >= HANGS_M:
             own = {cameras[member]: limbs[member].tip for member in arm.members}
-            measured = _measured(scene, arm, own, head)
+            measured = _measure_arm(scene, arm, own, head)
             if measured is not None:
                 yield measured
 
@@ -130,15 +130,15 @@ def find_arm_again(
         other: the arm a moment before or after.
         moved: by which the head has moved since, m.
     """
-    if _outlined(people) < 2:
+    if _count_outlined(people) < 2:
         return None
     ahead, near, tip = other.direction, np.asarray(other.axis.near), other.tip
     foot = near + ((tip - near) @ ahead) * ahead
     arm = Arm((), tip + moved, ahead, 0.0, other.tip_spread, foot + moved)
-    return _measured(_scene(rig, people), arm, {}, head)
+    return _measure_arm(_scene(rig, people), arm, {}, head)
 
 
-def _outlined(people: People) -> int:
+def _count_outlined(people: People) -> int:
     """How many views can measure a limb."""
     return sum(person is not None and person.outlined for person in people)
 
@@ -183,7 +183,7 @@ def _rays_of(scene: _Scene, limbs: Sequence[LimbEnd], cameras: Sequence[int]) ->
     )
 
 
-def _measured(
+def _measure_arm(
     scene: _Scene, arm: Arm, own: Mapping[int, np.ndarray], head: Float[np.ndarray, "3"]
 ) -> PointingArm | None:
     """The arm, its edges measured across the predicted axis in every view; the start with the most agreement wins.
@@ -243,19 +243,19 @@ def _refine(
     span: Float[np.ndarray, "2"],
     rounds: int,
 ) -> _Measured:
-    """Predict, measure, agree, fit; and again. Views that do not agree keep their strips, but have no say."""
+    """Predict, measure, agree, fit; and again. Views that do not agree keep their strips, but are not used."""
     on_axis = tip
     for _ in range(rounds):
         predicted = jax.tree.map(np.asarray, predict_axis(scene.rig, on_axis, direction, span))
         edges = [_edges(person, predicted, camera) for camera, person in enumerate(scene.people)]
         strips = [_strip(own) for own in edges]
-        agreed = _agreeing(scene, strips, predicted, on_axis, direction)
+        agreed = _agreeing_views(scene, strips, predicted, on_axis, direction)
         used = strips
         if agreed is not None:
             used, direction = [strip if keep else None for strip, keep in zip(strips, agreed[0])], agreed[1]
         axis = _fit(scene, used, on_axis, direction, span)
         if agreed is not None:
-            added = _beside(scene, edges, used, predicted, axis)
+            added = _strips_beside_one_edge(scene, edges, used, predicted, axis)
             if added:
                 strips, used = ([added.get(c, strip) for c, strip in enumerate(own)] for own in (strips, used))
                 axis = _fit(scene, used, on_axis, np.asarray(axis.direction), span)
@@ -265,7 +265,7 @@ def _refine(
 
 
 def _edges(person: AbstractPersonEvidence | None, predicted: PredictedAxis, camera: int) -> LimbEdges | None:
-    """The limb's edges in one view; None where it cannot say anything."""
+    """The limb's edges in one view; None where it cannot show them."""
     if person is None or not predicted.ahead[camera] or predicted.angle[camera] < FORESHORTENED:
         return None
     scale = float(predicted.pixels_a_metre[camera])
@@ -278,14 +278,14 @@ def _strip(edges: LimbEdges | None) -> Strip | None:
     return strip if strip is not None and (strip.width > 0).sum() >= MIN_SLICES else None
 
 
-def _beside(
+def _strips_beside_one_edge(
     scene: _Scene,
     edges: Sequence[LimbEdges | None],
     used: Sequence[Strip | None],
     predicted: PredictedAxis,
     axis: LimbAxis,
 ) -> dict[int, Strip]:
-    """Strips of views that have no say yet, by camera: beside one edge, with the width that the other views have."""
+    """Strips of views that are not used yet, by camera: beside one edge, with the width that the other views have."""
     width = _common_width(used, predicted)
     ends = np.asarray(scene.rig.project(np.stack([axis.near, axis.far])))
     added = {}
@@ -316,7 +316,7 @@ def _offsets(edges: LimbEdges, ends: Float[np.ndarray, "2 2"]) -> Float[np.ndarr
     return (along[1] * gap[:, 0] - along[0] * gap[:, 1]) / (np.sign(crossing) * max(abs(crossing), 1e-6))
 
 
-def _agreeing(
+def _agreeing_views(
     scene: _Scene, strips: Sequence[Strip | None], predicted: PredictedAxis, tip: np.ndarray, direction: np.ndarray
 ) -> tuple[Bool[np.ndarray, " C"], Float[np.ndarray, "3"]] | None:
     pixels, width = stack_strips(strips)
@@ -365,7 +365,7 @@ def _common_tip(
 
 
 def _views(scene: _Scene, measured: _Measured) -> list[ArmView]:
-    """What each view says of the axis, with tips still to be found."""
+    """What each view shows of the axis, with tips still to be found."""
     ends = np.asarray(scene.rig.project(np.stack([measured.axis.near, measured.axis.far])))
     return [_view(scene, measured, camera, ends[:, camera]) for camera in range(len(scene.people))]
 

@@ -1,7 +1,8 @@
 """Which long ends of several views are one arm, and which arm points.
 
-A limb's plane and its tip in two views make a hypothesis; the other views confirm it or not. What a single view cannot
-tell, such as which end of a bare arm is the hand, or a leg from an arm, the room can: an elbow must hang on a shoulder.
+A limb's plane and its tip in two views make a hypothesis; the other views confirm it or not. Some things
+show in 3-D alone, such as which end of a bare arm is the hand, or whether a limb is a leg: an elbow must hang on a
+shoulder.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.evidence.limbs import SLICE_M, SLICES
 
 TIP_GAP_M = 0.07  # between the tips of two views
-PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, SPEC 6
-GUESS_ANGLE = np.deg2rad(4.0)  # the same where other views, or the covariance, judge what comes of it
+PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, thesis 7.2
+GUESS_ANGLE = np.deg2rad(4.0)  # the same where other views, or the covariance, check the result
 AXIS_ANGLE = np.deg2rad(14.0)  # by which a view's plane may miss the axis
 AXIS_TO_TIP_M = 0.12  # a bent wrist carries the tip this far from the forearm's axis
-CLOSE_M = 0.012  # a ray that passes a place so far away says nothing for it
+CLOSE_M = 0.012  # a ray that passes a place so far away does not support it
 VIEW_AHEAD_M, MOST_AHEAD = 0.10, 0.4  # so much farther ahead is worth one view, but never more than this part of one
 _PULL = 1e-4  # of the tip on the axis, where the planes do not hold it
 AXIS_SCALE = np.deg2rad(2.0)  # the miss at which a plane counts half
@@ -41,7 +42,7 @@ class LimbRays:
     tip: Float[np.ndarray, "N 3"]  # unit
     slices: Float[np.ndarray, "N S 3"]  # unit
     held: Bool[np.ndarray, "N S"]
-    weight: Float[np.ndarray, " N"]  # how much a view's word counts: 1 for skin, less for an outline
+    weight: Float[np.ndarray, " N"]  # weight of a view: 1 for skin, less for an outline
 
     def __len__(self) -> int:
         """Number of long ends, N."""
@@ -69,7 +70,7 @@ class Arm:
 def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 12) -> list[Arm]:
     """The limbs that at least two views agree on, best supported first.
 
-    A long end may belong to several: which of them are real is told when they are measured.
+    A long end may belong to several: measuring them shows which are real.
 
     Args:
         limbs: of one person at one moment.
@@ -159,12 +160,12 @@ def agreeing_views(
     ahead: Float[np.ndarray, "3"],
     within: float,
 ) -> tuple[Bool[np.ndarray, " C"], Float[np.ndarray, "3"]] | None:
-    """The most views whose slices lie on one axis, and its direction: every two views propose one, all judge it.
+    """The most views whose slices lie on one axis, and its direction: every two views propose one, all check it.
 
     Args:
         origins: camera centres, m.
         rays: unit, through the middles of slices.
-        held: which slices there are; views without any have no say.
+        held: which slices there are; views without any are not used.
         focal_over_sigma: by which an angle becomes errors of a slice.
         tip: of the limb, near which the axis passes, m.
         ahead: rough direction towards the tip.
@@ -307,7 +308,7 @@ def _arm(limbs, normal, members, direction, fit) -> Arm:
     weight = fit[index]
     tip, spread = _nearest_point(limbs.origin[index], limbs.tip[index], weight)
     axis = direction
-    for _ in range(6):  # planes that miss the axis lose their say
+    for _ in range(6):  # planes that miss the axis lose weight
         trusted = weight / (1 + (normal[index] @ axis / np.sin(AXIS_SCALE)) ** 2)
         _, vectors = np.linalg.eigh(np.einsum("n,ni,nj->ij", trusted, normal[index], normal[index]))
         axis = vectors[:, 0] if vectors[:, 0] @ direction > 0 else -vectors[:, 0]

@@ -89,14 +89,14 @@ def refit_axis(
 def _axis_at(given: _Given, offsets: Array) -> LimbAxis:
     """The axis at the optimum, differentiable in what is given."""
     # One step more, which does not move the optimum, but whose derivative is that of the optimum.
-    turning = jax.lax.stop_gradient(jax.jacfwd(lambda x: _pull(given, x))(offsets))
-    offsets = offsets - jnp.linalg.solve(_damped(turning), _pull(given, offsets))
+    turning = jax.lax.stop_gradient(jax.jacfwd(lambda x: _gradient(given, x))(offsets))
+    offsets = offsets - jnp.linalg.solve(_damp(turning), _gradient(given, offsets))
     matrix, _, value, counted = _normal_equations(given, offsets, 1.0)
     near, far = _ends(given, offsets)
     total = jnp.sum(counted)
     some = total > 0
     rms2 = jnp.sum(counted * value**2) / jnp.where(some, total, 1.0)
-    covariance = jnp.linalg.inv(_damped(matrix)) * jnp.maximum(rms2, 1.0)
+    covariance = jnp.linalg.inv(_damp(matrix)) * jnp.maximum(rms2, 1.0)
 
     def direction_of(x: Array) -> Array:
         near, far = _ends(given, x)
@@ -142,7 +142,7 @@ def _residuals(given: _Given, offsets: Array) -> Array:
     return (given.focal / given.sigma_px)[:, None] * jnp.sum(given.rays * normal[:, None, :], axis=-1)
 
 
-def _counted(given: _Given, offsets: Array) -> Array:
+def _slice_weights(given: _Given, offsets: Array) -> Array:
     """The weight of each slice by its place along the axis."""
     near, far = _ends(given, offsets)
     behind = _behind(given.origins, given.rays, near, normalised(near - far)) + given.span[0]
@@ -154,14 +154,14 @@ def _counted(given: _Given, offsets: Array) -> Array:
 def _normal_equations(given: _Given, offsets: Array, scale: Array | float) -> tuple[Array, Array, Array, Array]:
     value = _residuals(given, offsets)
     rows = jax.jacfwd(lambda x: _residuals(given, x))(offsets)
-    counted = _counted(given, offsets)
+    counted = _slice_weights(given, offsets)
     robust = counted / (1.0 + (value / scale) ** 2)
     matrix = jnp.einsum("cs,csi,csj->ij", robust, rows, rows)
     gradient = jnp.einsum("cs,csi,cs->i", robust, rows, value)
     return matrix, gradient, value, counted
 
 
-def _pull(given: _Given, offsets: Array) -> Array:
+def _gradient(given: _Given, offsets: Array) -> Array:
     """What is zero at the optimum."""
     return _normal_equations(given, offsets, 1.0)[1]
 
@@ -174,12 +174,12 @@ def _optimum(given: _Given) -> Array:
         # The scale shrinks to its end: a start that is off by a few pixels must not lose the right slices.
         scale = jnp.maximum(1.0, 8.0 * 0.5**count)
         matrix, gradient, _, _ = _normal_equations(given, offsets, scale)
-        return offsets - solve_positive(_damped(matrix), gradient)
+        return offsets - solve_positive(_damp(matrix), gradient)
 
     return jax.lax.fori_loop(0, STEPS, step, jnp.zeros(4, given.tip.dtype))
 
 
-def _damped(matrix: Array) -> Array:
+def _damp(matrix: Array) -> Array:
     """Never singular: with one view two of the four numbers are unknown and stay where they are."""
     return matrix + (_DAMPING * jnp.trace(matrix) + 1e-9) * jnp.eye(4, dtype=matrix.dtype)
 

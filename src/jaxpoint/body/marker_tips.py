@@ -1,4 +1,4 @@
-"""The marker in the room: which regions of the views are one thing, its axis, and its tip on that axis (SPEC 6).
+"""The marker in the room: which regions of the views show it, its axis, and its tip on that axis (thesis 7.2).
 
 The middles of the regions say which of them are one. The axis lies in the planes of all views; the tip is where the
 views see its end on it. An end is the same point of a marker in every view only up to its thickness, which the thesis's
@@ -94,7 +94,7 @@ def marker_tips(rig: CameraRig, markers: Sequence[MarkerViews], settings: Marker
             else:
                 open_axes.append((moment, sights, *_rough(sights, direction)))
     for (moment, sights, _, _), axis in zip(
-        open_axes, _fitted(rig, [one[1:] for one in open_axes], settings.max_length_m)
+        open_axes, _fit_axes(rig, [one[1:] for one in open_axes], settings.max_length_m)
     ):
         members = tips[moment].members
         tip = _on_axis(sights, axis, members)
@@ -173,7 +173,7 @@ def _ends(
     return np.where(flipped[:, None], sights.rays[:, BASE], sights.rays[:, TIP]), flipped
 
 
-def _fitted(
+def _fit_axes(
     rig: CameraRig, starts: Sequence[tuple[_Sights, np.ndarray, np.ndarray]], longest_m: float
 ) -> list[LimbAxis]:
     """The axes of all moments, in batches of one size."""

@@ -68,7 +68,7 @@ def beside_one_edge(
 def _tapers(
     width: Float[np.ndarray, "K S"], whole: Bool[np.ndarray, "K S"], pixels_a_metre: float
 ) -> Bool[np.ndarray, "K S"]:
-    """Slices as wide as a forearm that widens evenly to the elbow: a hole, a hand or a shirt behind is none."""
+    """Slices as wide as a forearm that widens evenly to the elbow: a hole, a hand or a shirt behind is not."""
     low, high = (limit * pixels_a_metre for limit in LIMB_WIDTH_M)
     usable = whole & (width >= low) & (width <= high)
     place = np.linspace(-1, 1, width.shape[1])

@@ -74,13 +74,13 @@ class DetectLed(SeededOptions):
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
         return Outcome(
             figures,
-            (*lines, *_told(detection), f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
+            (*lines, *_summary(detection), f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
             _failure(figures, page),
             tuple(missing),
         )
 
 
-def _told(detection: LedDetection) -> tuple[str, ...]:
+def _summary(detection: LedDetection) -> tuple[str, ...]:
     """What paired the frames, and where the cameras were not looked at."""
     masked = [name for name, mask in zip(detection.tracks.names, detection.masks) if mask is not None]
     without = [name for name in detection.tracks.names if name not in masked]

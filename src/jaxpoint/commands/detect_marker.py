@@ -121,7 +121,7 @@ def _write(
     from jaxpoint.io.table import write_table
     from jaxpoint.report.marker_page import write_marker_report
     from jaxpoint.report.marker_pictures import marker_sheets, track_of
-    from jaxpoint.report.marker_tables import in_room, seen
+    from jaxpoint.report.marker_tables import room_table, views_table
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
@@ -147,9 +147,9 @@ def _write(
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
         (folder / "config.toml").write_text(settings, encoding="utf-8")
-        write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
+        write_table(folder / f"detections.{command.format}", views_table(session, markers, tips))
         if tips is not None:
-            write_table(folder / f"markers.{command.format}", in_room(session, tips))
+            write_table(folder / f"markers.{command.format}", room_table(session, tips))
     return figures
 
 

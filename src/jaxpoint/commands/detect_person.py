@@ -120,7 +120,7 @@ def _write(
     from jaxpoint.io.table import write_table
     from jaxpoint.report.people_page import write_people_report
     from jaxpoint.report.people_pictures import sheets
-    from jaxpoint.report.people_tables import arms, detections
+    from jaxpoint.report.people_tables import arms_table, detections_table
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
@@ -147,10 +147,10 @@ def _write(
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
         (folder / "config.toml").write_text(settings, encoding="utf-8")
-        write_table(folder / f"detections.{command.format}", detections(session, views, following))
+        write_table(folder / f"detections.{command.format}", detections_table(session, views, following))
         if following is not None:
             save_heads(folder / "heads.csv", following.tracking.heads)
-            write_table(folder / f"arms.{command.format}", arms(session, following))
+            write_table(folder / f"arms.{command.format}", arms_table(session, following))
     return figures
 
 
@@ -229,11 +229,11 @@ def _failure(
         return None
     heads = [camera["heads"] for camera in cameras]
     if sum(count > 0 for count in heads) < 2:
-        return _unfollowed(command, cameras)
+        return _why_unfollowed(command, cameras)
     return nobody_followed(heads, command.track, remedy)
 
 
-def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
+def _why_unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
     """Why nobody could be followed: no heads at all, heads of one view only, or heads that do not agree."""
     heads = [camera["heads"] for camera in cameras if camera["heads"]]
     failed = (

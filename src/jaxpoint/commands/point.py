@@ -187,7 +187,7 @@ class Point(SeededOptions):
 
 
 def check_settings(settings: PointSettings) -> None:
-    """Refuse a room that is none, and weights that make no line.
+    """Refuse a room of no extent, and weights that make no line.
 
     Raises:
         UsageError: as `room_of`; or there are no weights, or one is of a line that does not exist.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-DEVIATION_FLOOR = 1.0  # grey levels: 8-bit images cannot tell less
+DEVIATION_FLOOR = 1.0  # grey levels: 8-bit images cannot show less
 MAD_TO_SIGMA = 1.4826  # of a normal distribution
 
 

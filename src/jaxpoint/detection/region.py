@@ -67,7 +67,7 @@ def region_of(mask: Mask) -> Region:
     x, y, width, height = cv2.boundingRect(pixels)
     if not width:
         raise ValueError("An empty mask has no shape; ask for regions with `label_regions`.")
-    return _measured(pixels[y : y + height, x : x + width], (x, y, width, height), 1)
+    return _measure(pixels[y : y + height, x : x + width], (x, y, width, height), 1)
 
 
 def _bytes(mask: Mask) -> UInt8[np.ndarray, "H W"]:
@@ -77,10 +77,10 @@ def _bytes(mask: Mask) -> UInt8[np.ndarray, "H W"]:
 def _shape(labels: Int32[np.ndarray, "H W"], label: int, stats: Int32[np.ndarray, "5"]) -> Region:
     x, y, width, height = (int(value) for value in stats[:4])
     inside = labels[y : y + height, x : x + width] == label
-    return _measured(inside.view(np.uint8), (x, y, width, height), label)
+    return _measure(inside.view(np.uint8), (x, y, width, height), label)
 
 
-def _measured(pixels: UInt8[np.ndarray, "h w"], box: tuple[int, int, int, int], label: int) -> Region:
+def _measure(pixels: UInt8[np.ndarray, "h w"], box: tuple[int, int, int, int], label: int) -> Region:
     moments = cv2.moments(pixels, binaryImage=True)
     area = moments["m00"]
     centroid = np.array([box[0] + moments["m10"] / area, box[1] + moments["m01"] / area])

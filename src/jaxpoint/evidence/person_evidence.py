@@ -53,7 +53,7 @@ class AbstractPersonEvidence:
 
     @property
     def shows_skin(self) -> bool:
-        """Whether any pixel of the person was told as skin; False where the image has no colour."""
+        """Whether any pixel of the person was recognised as skin; False where the image has no colour."""
         return False
 
     def limb_ends(

@@ -7,11 +7,11 @@ from pathlib import Path
 import jax
 
 from jaxpoint.io.objects import Database, read_objects
-from jaxpoint.pointing.answers import Scene
+from jaxpoint.pointing.answers import ObjectScene
 from jaxpoint.pointing.room import Room
 
 
-def read_scene(path: Path, room: Room | None = None) -> tuple[Scene, Database]:
+def read_scene(path: Path, room: Room | None = None) -> tuple[ObjectScene, Database]:
     """What can be pointed at.
 
     The room is the one that is given here, else that of the file, else a guess: around the objects, until
@@ -25,4 +25,4 @@ def read_scene(path: Path, room: Room | None = None) -> tuple[Scene, Database]:
     with jax.enable_x64(True):
         objects = database.objects
         shown = Room.around(objects) if room is None else room
-        return Scene(objects, objects.middles, shown, room is not None), database
+        return ObjectScene(objects, objects.middles, shown, room is not None), database

@@ -1,4 +1,4 @@
-"""What each gesture points at: hits in order, what is nearest, probabilities, and why."""
+"""What each gesture points at: hits in order, what is nearest, probabilities, and reasons."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.hits import Hits, intersect
 from jaxpoint.pointing.holds import Hold
-from jaxpoint.pointing.line_hypotheses import Hypothesis
+from jaxpoint.pointing.line_hypotheses import LineHypothesis
 from jaxpoint.pointing.nearest import Nearest, nearest
 from jaxpoint.pointing.objects import NOTHING, Objects, Shapes
 from jaxpoint.pointing.personal_offsets import Ask, learnt_offsets, turned_lines
@@ -31,11 +31,11 @@ from jaxpoint.pointing.word_evidence import words_evidence
 
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none
 WRONG_OF_MORE = 0.02
-# By the lines' distributions alone answers are right more often than they say; this power makes both agree and changes
-# no order (`experiments/pointing_reliability.py`).
-SHARPER = 1.3
+# Calibration exponent of the probabilities. By the lines' distributions alone answers are right more often than their
+# probabilities; this power makes both agree and changes no order. Chosen on `experiments/pointing_reliability.py`.
+CALIBRATION_EXPONENT = 1.3
 JOINTS = ("head", "eye", "shoulder", "elbow", "wrist", "tip")
-SHOWN = 0.005  # smallest probability that is told
+SHOWN = 0.005  # smallest probability that is listed
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Answer:
     origin: Float[np.ndarray, "3"]  # m, the fingertip
     direction: Float[np.ndarray, "3"]  # unit
     sigma_deg: float  # of the measured direction, per axis
-    calibration_sigma_deg: float | None  # the calibration's part; None where it does not say how wrong it may be
+    calibration_sigma_deg: float | None  # the calibration's part; None where it has no covariance
     hits: tuple[Place, ...]  # nearest first
     surface: Place | None  # where the line leaves the room; None from outside of it
     nearest: tuple[tuple[str, float], ...]  # the three nearest objects, degrees off the line
@@ -94,7 +94,7 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ObjectScene:
     """What can be pointed at, and where."""
 
     objects: Objects
@@ -106,81 +106,81 @@ class Scene:
 def answers(
     holds: Sequence[Hold],
     held: HeldJoints,
-    ways: Sequence[Hypothesis],
-    scene: Scene,
+    hypotheses: Sequence[LineHypothesis],
+    scene: ObjectScene,
     people: Sequence[int],
     frames: Sequence[int],
     *,
     evidence: Float[np.ndarray, "G K"] | None = None,
     words: Sequence[Sequence[str]] = (),
     known_errors: bool = False,
-    sharper: float = SHARPER,
+    exponent: float = CALIBRATION_EXPONENT,
 ) -> list[Answer]:
     """The answer to every gesture.
 
     Args:
         holds: G gestures.
         held: their joints.
-        ways: how each may be pointing.
+        hypotheses: how each may be pointing.
         scene: objects and room.
         people: the id of each person of the tracks.
         frames: the number of the moment shown of each gesture.
         evidence: likelihood factors of what was said.
         words: what was said with each gesture.
-        known_errors: the calibration says how wrong it may be.
-        sharper: the power to which probabilities are raised; 1 leaves them as the lines' distributions have them.
+        known_errors: the calibration has a covariance.
+        exponent: the power to which probabilities are raised; 1 leaves them as the lines' distributions have them.
     """
     persons = [hold.person for hold in holds]
     wrong = np.array([WRONG_OF_TWO_VIEWS if hold.views <= 2 else WRONG_OF_MORE for hold in holds])
-    each, marginal = _by_way(ways, scene.objects, evidence)
-    ways = _own_offsets(ways, each, marginal, persons, wrong, held, partial(_asked, scene.objects, evidence))
-    weight = learnt_eyes(ways, marginal, persons)[..., None]
-    right = (weight * each).sum(axis=0) ** sharper
+    each, marginal = _ask_by_hypothesis(hypotheses, scene.objects, evidence)
+    ask = partial(_ask_posterior, scene.objects, evidence)
+    hypotheses = _own_offsets(hypotheses, each, marginal, persons, wrong, held, ask)
+    weight = learnt_eyes(hypotheses, marginal, persons)[..., None]
+    right = (weight * each).sum(axis=0) ** exponent
     right /= right.sum(axis=1, keepdims=True)
     chance = (1 - wrong[:, None]) * right + wrong[:, None] / right.shape[1]
     best = chance.argmax(axis=1)
-    # The way whose share in the winning answer is largest is the one that is shown.
-    way_of = (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)
-    shown = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], ways[k].lines.ray) for i, k in enumerate(way_of)]
-    measured = _measured(shown, scene)
+    # The hypothesis whose share in the winning answer is largest is the one that is shown.
+    likeliest = [hypotheses[k] for k in (weight * each)[:, np.arange(len(holds)), best].argmax(axis=0)]
+    shown = [jax.tree.map(lambda leaf, i=i: np.asarray(leaf)[i], own.lines.ray) for i, own in enumerate(likeliest)]
+    measured = _meet_objects(shown, scene)
     said = list(words) or [()] * len(holds)
     given = _Given(held, scene, people, frames, known_errors)
-    told = [
-        _answer(i, hold, given, ways[way_of[i]], jax.tree.map(itemgetter(i), measured), chance[i], said[i])
+    found = [
+        _answer(i, hold, given, likeliest[i], jax.tree.map(itemgetter(i), measured), chance[i], said[i])
         for i, hold in enumerate(holds)
     ]
     if evidence is None:
-        return told
+        return found
     unsaid = _without_words(each, evidence, weight).argmax(axis=1)
     names = (*scene.objects.names, NOTHING)
-    return [_by_words(answer, names[k], scene.objects) for answer, k in zip(told, unsaid)]
+    return [_by_words(answer, names[k], scene.objects) for answer, k in zip(found, unsaid)]
 
 
-def _by_way(
-    ways: Sequence[Hypothesis], objects: Objects, evidence: Float[np.ndarray, "G K"] | None
+def _ask_by_hypothesis(
+    hypotheses: Sequence[LineHypothesis], objects: Objects, evidence: Float[np.ndarray, "G K"] | None
 ) -> tuple[Float[np.ndarray, "W G answers"], Float[np.ndarray, "W G"]]:
-    """Probabilities of all objects and of nothing by each way, and the density of each way's lines.
+    """Probabilities of all objects and of nothing by each hypothesis, and the density of each hypothesis's lines.
 
     Ways whose behaviours are of one structure are asked in one call, which costs more than a few lines do.
     """
-    count = len(ways[0].weight)
-    each, marginal = np.zeros((len(ways), count, len(objects) + 1)), np.zeros((len(ways), count))
+    count = len(hypotheses[0].weight)
+    each, marginal = np.zeros((len(hypotheses), count, len(objects) + 1)), np.zeros((len(hypotheses), count))
     alike: dict[Any, list[int]] = {}
-    for i, way in enumerate(ways):
-        alike.setdefault(jax.tree.structure(way.behaviour), []).append(i)
+    for i, hypothesis in enumerate(hypotheses):
+        alike.setdefault(jax.tree.structure(hypothesis.behaviour), []).append(i)
     for places in alike.values():
-        lines, behaviour = ways[places[0]].lines, ways[places[0]].behaviour
+        lines, behaviour = hypotheses[places[0]].lines, hypotheses[places[0]].behaviour
         if len(places) > 1:
-            asked = [
-                (ways[i].lines, jax.tree.map(partial(np.broadcast_to, shape=count), ways[i].behaviour)) for i in places
-            ]
+            spread = partial(np.broadcast_to, shape=count)
+            asked = [(one.lines, jax.tree.map(spread, one.behaviour)) for one in (hypotheses[i] for i in places)]
             lines, behaviour = jax.tree.map(lambda *leaves: np.concatenate(leaves), *asked)
-        told, density = _asked(objects, evidence, lines, behaviour, np.tile(np.arange(count), len(places)))
-        each[places], marginal[places] = told.reshape(len(places), count, -1), density.reshape(-1, count)
+        found, density = _ask_posterior(objects, evidence, lines, behaviour, np.tile(np.arange(count), len(places)))
+        each[places], marginal[places] = found.reshape(len(places), count, -1), density.reshape(-1, count)
     return each, marginal
 
 
-def _asked(
+def _ask_posterior(
     objects: Objects,
     evidence: Float[np.ndarray, "G K"] | None,
     lines: PointingLine,
@@ -203,30 +203,30 @@ def _without_words(
 
 
 def _own_offsets(
-    ways: Sequence[Hypothesis],
+    hypotheses: Sequence[LineHypothesis],
     each: Float[np.ndarray, "W G answers"],
     marginal: Float[np.ndarray, "W G"],
     persons: Sequence[int],
     wrong: Float[np.ndarray, " G"],
     held: HeldJoints,
     ask: Ask,
-) -> list[Hypothesis]:
-    """The ways with people's own offsets learnt and taken off; `each` and `marginal` are brought up to date."""
-    told = list(ways)
+) -> list[LineHypothesis]:
+    """The hypotheses with people's own offsets learnt and taken off; `each` and `marginal` are brought up to date."""
+    corrected = list(hypotheses)
     if len(set(persons)) == len(persons):  # as one gesture alone, which must be answered at once
-        return told
+        return corrected
     left = np.asarray(_left_arms(held.joints))
-    weighed = np.stack([way.weight for way in ways]) * marginal
-    for i, way in enumerate(ways):
-        learnt = learnt_offsets(way, weighed.sum(axis=0) - weighed[i], wrong, persons, left, ask)
+    weighed = np.stack([hypothesis.weight for hypothesis in hypotheses]) * marginal
+    for i, hypothesis in enumerate(hypotheses):
+        learnt = learnt_offsets(hypothesis, weighed.sum(axis=0) - weighed[i], wrong, persons, left, ask)
         if learnt is None:
             continue
         own = learnt.gestures
         each[i, own], marginal[i, own] = learnt.probability, learnt.marginal
         offset = np.zeros((len(left), 2))
         offset[own] = learnt.offset
-        told[i] = replace(way, lines=turned_lines(way.lines, offset, left), offset=offset)
-    return told
+        corrected[i] = replace(hypothesis, lines=turned_lines(hypothesis.lines, offset, left), offset=offset)
+    return corrected
 
 
 @jit
@@ -239,21 +239,21 @@ class _Given:
     """What all answers share."""
 
     held: HeldJoints
-    scene: Scene
+    scene: ObjectScene
     people: Sequence[int]
     frames: Sequence[int]
     known_errors: bool
 
 
-def _measured(shown: Sequence[Ray], scene: Scene) -> tuple[Hits, Nearest, RoomPoint]:
+def _meet_objects(shown: Sequence[Ray], scene: ObjectScene) -> tuple[Hits, Nearest, RoomPoint]:
     """Hits, the three nearest, and the end in the room, of the line of each gesture: in numpy, to be read singly."""
     rays = jax.tree.map(lambda *leaves: np.stack(leaves), *shown)
-    found = over_lines(partial(_met, scene.objects.shapes, len(scene.objects), scene.room), rays)
+    found = over_lines(partial(_meet_room, scene.objects.shapes, len(scene.objects), scene.room), rays)
     return jax.tree.map(np.asarray, found)
 
 
 @partial(jit, static_argnames="count")
-def _met(shapes: Shapes, count: int, room: Room, rays: Ray) -> tuple[Hits, Nearest, RoomPoint]:
+def _meet_room(shapes: Shapes, count: int, room: Room, rays: Ray) -> tuple[Hits, Nearest, RoomPoint]:
     objects = Objects(shapes, ("",) * count, ("",) * count, ((),) * count)  # names would be another program
     return intersect(rays, objects), nearest(rays, objects), end_in_room(rays, room)
 
@@ -262,7 +262,7 @@ def _answer(
     i: int,
     hold: Hold,
     given: _Given,
-    way: Hypothesis,
+    hypothesis: LineHypothesis,
     measured: tuple[Hits, Nearest, RoomPoint],
     chance: Float[np.ndarray, " answers"],
     words: Sequence[str],
@@ -276,8 +276,8 @@ def _answer(
         for j in np.flatnonzero(hit.valid)
     )
     surface = Place(SURFACES[int(end.surface)], float(end.distance), np.asarray(end.point)) if end.inside else None
-    origin, name = np.asarray(way.lines.ray.origin)[i], names[order[0]]
-    told = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
+    origin, name = np.asarray(hypothesis.lines.ray.origin)[i], names[order[0]]
+    chances = tuple((names[k], float(chance[k])) for k in order if chance[k] >= SHOWN or k == order[0])
     meant = _meant(name, hits, surface, origin, scene)
     return Answer(
         number=i + 1,
@@ -287,29 +287,29 @@ def _answer(
         time_s=hold.time_s,
         frame=int(given.frames[i]),
         views=hold.views,
-        line=way.kind,
+        line=hypothesis.kind,
         joints={name: np.asarray(getattr(given.held.joints, name))[i] for name in JOINTS},
         origin=origin,
-        direction=np.asarray(way.lines.ray.direction)[i],
-        sigma_deg=_sigma_deg(np.asarray(way.lines.covariance)[i, 3:, 3:]),
-        calibration_sigma_deg=_sigma_deg(way.by_calibration[i]) if given.known_errors else None,
+        direction=np.asarray(hypothesis.lines.ray.direction)[i],
+        sigma_deg=_sigma_deg(np.asarray(hypothesis.lines.covariance)[i, 3:, 3:]),
+        calibration_sigma_deg=_sigma_deg(hypothesis.by_calibration[i]) if given.known_errors else None,
         hits=hits,
         surface=surface,
         nearest=tuple(
             (names[int(close.object[j])], float(np.degrees(close.measure[j]))) for j in np.flatnonzero(close.valid)
         ),
-        probabilities=told,
+        probabilities=chances,
         ambiguous=bool(len(order) > 1 and chance[order[0]] < AMBIGUOUS * chance[order[1]]),
         name=name,
         distance_m=0.0 if meant is None else meant.distance_m,
         point=None if meant is None else meant.point,
-        reasons=(*_reasons(hold, way, name, hits, surface), *_learnt(way, i)),
+        reasons=(*_reasons(hold, hypothesis, name, hits, surface), *_offset_reasons(hypothesis, i)),
         words=tuple(words),
     )
 
 
 def _meant(
-    name: str, hits: Sequence[Place], surface: Place | None, origin: Float[np.ndarray, "3"], scene: Scene
+    name: str, hits: Sequence[Place], surface: Place | None, origin: Float[np.ndarray, "3"], scene: ObjectScene
 ) -> Place | None:
     """Where the line meets the answer; the object's middle where it passes it by."""
     if name == NOTHING:
@@ -326,7 +326,9 @@ def _sigma_deg(covariance: np.ndarray) -> float:
     return float(np.degrees(np.sqrt(np.trace(covariance) / 2)))
 
 
-def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surface: Place | None) -> tuple[str, ...]:
+def _reasons(
+    hold: Hold, hypothesis: LineHypothesis, name: str, hits: Sequence[Place], surface: Place | None
+) -> tuple[str, ...]:
     reasons = []
     if hold.views <= 2:
         reasons.append(f"The arm was measured in {hold.views} views only; one more would check it.")
@@ -338,7 +340,7 @@ def _reasons(hold: Hold, way: Hypothesis, name: str, hits: Sequence[Place], surf
         reasons.append(f"The {name} lies beside the line{passed}; it is still the likeliest.")
     elif name != NOTHING and met[0] != name:
         reasons.append(f"The {name} lies behind the {met[0]}.")
-    if way.kind == "eye-fingertip":
+    if hypothesis.kind == "eye-fingertip":
         reasons.append("The finger lies on the line of sight: the line goes from the eye over the fingertip.")
     return tuple(reasons)
 
@@ -358,9 +360,9 @@ def _by_words(answer: Answer, unsaid: str, objects: Objects) -> Answer:
     return replace(answer, reasons=(*answer.reasons, reason))
 
 
-def _learnt(way: Hypothesis, i: int) -> tuple[str, ...]:
-    """Says that the line was turned by what the person's gestures tell."""
-    if way.offset is None or not way.offset[i].any():
+def _offset_reasons(hypothesis: LineHypothesis, i: int) -> tuple[str, ...]:
+    """That the line was turned by the offset learnt from the person's gestures."""
+    if hypothesis.offset is None or not hypothesis.offset[i].any():
         return ()
-    off = np.degrees(np.hypot(*way.offset[i]))
+    off = np.degrees(np.hypot(*hypothesis.offset[i]))
     return (f"The line is turned by {off:.1f} degrees, by which this person's gestures miss what is meant.",)

@@ -31,7 +31,7 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
     count = math.prod(batch)
     held = function.args if isinstance(function, partial) else ()  # a `partial` is a leaf to JAX
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves((held, lines))):
-        return _reshaped(function(*_reshaped(lines, len(batch), (count,))), 1, batch)
+        return _reshape(function(*_reshape(lines, len(batch), (count,))), 1, batch)
     device = device_of(lines, held)
     if device is None or device.platform != "cpu":
         return _on_device(function, batch, *lines)
@@ -42,33 +42,33 @@ def over_lines(function: Callable[..., Result], *lines: Any) -> Result:
 def _on_cpu(function: Callable[..., Result], batch: tuple[int, ...], device: Device, *lines: Any) -> Result:
     """In numpy: for a few lines JAX's own slicing and padding takes longer than the program."""
     count = math.prod(batch)
-    flat = _reshaped(jax.tree.map(np.asarray, lines), len(batch), (count,))
+    flat = _reshape(jax.tree.map(np.asarray, lines), len(batch), (count,))
     if count > PART:
         found = by_all_cores(lambda start: function(*_rows(flat, start, PART)), count, PART, device)
-        return _reshaped(found, 1, batch)
+        return _reshape(found, 1, batch)
     size = _power_of_two(count)
     found = function(*_rows(flat, 0, size))
     if batch == (size,):
         return found
     some = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
-    return jax.tree.map(jnp.asarray, _reshaped(some, 1, batch))
+    return jax.tree.map(jnp.asarray, _reshape(some, 1, batch))
 
 
 def _on_device(function: Callable[..., Result], batch: tuple[int, ...], *lines: Any) -> Result:
     """Part after part where the inputs lie; the host sees none of it."""
     count = math.prod(batch)
-    flat = _reshaped(jax.tree.map(jnp.asarray, lines), len(batch), (count,))
+    flat = _reshape(jax.tree.map(jnp.asarray, lines), len(batch), (count,))
     size = min(_power_of_two(count), PART_ELSEWHERE)
     parts = [function(*_rows(flat, start, size)) for start in range(0, max(count, 1), size)]
     found = parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
-    return _reshaped(jax.tree.map(lambda leaf: leaf[:count], found), 1, batch)
+    return _reshape(jax.tree.map(lambda leaf: leaf[:count], found), 1, batch)
 
 
 def _power_of_two(count: int) -> int:
     return 1 << max(count - 1, 0).bit_length()
 
 
-def _reshaped(tree: Any, axes: int, shape: tuple[int, ...]) -> Any:
+def _reshape(tree: Any, axes: int, shape: tuple[int, ...]) -> Any:
     """Other leading axes in the place of the first `axes`."""
     return jax.tree.map(lambda leaf: leaf.reshape((*shape, *leaf.shape[axes:])), tree)
 

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxpoint.body.following import Following
-from jaxpoint.body.joints import Joints, estimated_covariance
+from jaxpoint.body.joints import Joints, joints_with_covariance
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.pointing.batching import over_lines
@@ -27,7 +27,7 @@ class HeldJoints:
 
     joints: Joints  # m, leading axis G
     covariance: Float[Array, "G 18 18"]  # of `Joints.flat`, m^2, the calibration's part included
-    calibration: Float[Array, "G 18 18"]  # that part: 0 where the calibration does not say how wrong it may be
+    calibration: Float[Array, "G 18 18"]  # that part: 0 where the calibration has no covariance
     moments: Int[np.ndarray, " G"]  # of each the one nearest to the mean: the one to be shown
 
 
@@ -46,7 +46,7 @@ def held_joints(
         camera_covariance: of the cameras' D = p C parameters in the order of `Camera.perturbed`.
     """
     with jax.enable_x64(True):
-        mean, covariance, weights = _held(*frames_of(following, holds))
+        mean, covariance, weights = _held_means(*frames_of(following, holds))
         moments = np.array([middle_moment(hold, own) for hold, own in zip(holds, weights)], int)
         cameras = np.zeros_like(covariance)
         if camera_covariance is not None:
@@ -56,7 +56,7 @@ def held_joints(
         return HeldJoints(*over_lines(_all_joints, mean, covariance, cameras), moments)
 
 
-def _held(*frames: np.ndarray) -> tuple[np.ndarray, ...]:
+def _held_means(*frames: np.ndarray) -> tuple[np.ndarray, ...]:
     """`held_mean` of any number of holds: of one alone, or of `GESTURES` at once."""
     count = len(frames[0])
     size = 1 if count == 1 else GESTURES
@@ -71,7 +71,7 @@ def _all_joints(measured: Array, covariance: Array, cameras: Array) -> tuple[Joi
     """Joints, their covariance, and the calibration's part of it, which reaches all joints in the same way."""
 
     def one(measured: Array, covariance: Array, cameras: Array) -> tuple[Joints, Array, Array]:
-        joints, whole = estimated_covariance(measured, covariance + cameras)
-        return joints, whole, whole - estimated_covariance(measured, covariance)[1]
+        joints, whole = joints_with_covariance(measured, covariance + cameras)
+        return joints, whole, whole - joints_with_covariance(measured, covariance)[1]
 
     return jax.vmap(one)(measured, covariance, cameras)

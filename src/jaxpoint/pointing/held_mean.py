@@ -35,10 +35,10 @@ def held_mean(
 
 def _held_mean(values: Array, covariance: Array, seen: Array) -> tuple[Array, Array, Array]:
     values = jnp.where(seen[:, None], values, 0.0)
-    start = _weighted(values, seen.astype(values.dtype))
+    start = _weighted_mean(values, seen.astype(values.dtype))
 
     def step(_: Array, middle: Array) -> Array:
-        return _weighted(values, _weights(values, middle, seen))
+        return _weighted_mean(values, _weights(values, middle, seen))
 
     middle = jax.lax.fori_loop(0, STEPS, step, start)
     weights = _weights(values, middle, seen)
@@ -58,7 +58,7 @@ def _harmonic_mean(covariance: Array, weights: Array) -> Array:
     return jnp.einsum("f,fij->ij", by, covariance) / jnp.where(total > 0, total, 1.0)
 
 
-def _weighted(values: Array, weights: Array) -> Array:
+def _weighted_mean(values: Array, weights: Array) -> Array:
     return jnp.sum(weights[:, None] * values, axis=0) / jnp.maximum(jnp.sum(weights), 1e-12)
 
 

@@ -23,7 +23,7 @@ class ArmTrack:
     tips: Float[np.ndarray, "F 3"]  # m
     directions: Float[np.ndarray, "F 3"]  # unit
     stretch: Float[np.ndarray, " F"]  # share of the stature
-    views: Int[np.ndarray, " F"]  # that have a say
+    views: Int[np.ndarray, " F"]  # that are used
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Hold:
     person: int  # place in the head tracks
     moments: Int[np.ndarray, " F"]  # rising
     times: Float[np.ndarray, " F"]  # s
-    views: int  # median number of views that have a say
+    views: int  # median number of views that are used
 
     @property
     def start_s(self) -> float:
@@ -91,7 +91,7 @@ def find_holds(tracks: Iterable[ArmTrack], settings: GestureSettings) -> list[Ho
 
 
 def hold_within(tracks: Iterable[ArmTrack], start_s: float, end_s: float, settings: GestureSettings) -> Hold | None:
-    """The hold of a given interval, of whoever most views speak for; None where no arm was measured in it."""
+    """The hold of a given interval, of the person whom most views support; None where no arm was measured in it."""
     best, most = None, 0
     for track in tracks:
         inside = (track.times >= start_s - 1e-9) & (track.times <= end_s + 1e-9)
@@ -127,7 +127,7 @@ def _hold(track: ArmTrack, members: Int[np.ndarray, " M"]) -> Hold:
 def _most_agreed(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSettings) -> Int[np.ndarray, " M"]:
     """The largest set of moments around one of them that agree with it; weighed by their views.
 
-    Empty only where no moment is free: an arm of which no view has a say still makes a set.
+    Empty only where no moment is free: an arm of which no view is used still makes a set.
     """
     best, most = np.zeros(0, int), -1
     for seed in np.flatnonzero(free):

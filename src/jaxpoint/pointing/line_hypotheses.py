@@ -1,8 +1,8 @@
-"""In which way a person may be pointing: along eye and fingertip, or with the forearm (thesis 7.1; SPEC 6).
+"""How a person may be pointing: along eye and fingertip, or with the forearm (thesis 7.1).
 
-Who points accurately brings the fingertip between eye and target, and the finger lies along that line. Who points
-approximately sends the forearm there, and the finger leaves the line from the eye by far. So the angle between both
-tells how probable each is, and the answer weighs both; nobody has to say it.
+People who point accurately bring the fingertip between eye and target, and the finger lies along that line. People who
+point approximately send the forearm there, and the finger leaves the line from the eye by far. So the angle between
+both shows how probable each is, and the answer weighs both.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.line import angle_between
 from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.bias.bias import Bias
-from jaxpoint.pointing.bias.corrected_lines import drawn
-from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.corrected_lines import corrected_lines
+from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.bias.spread import Spread
 from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.pointing_line import KINDS, LineKind, PointingLine, directions, pointing_lines, weights_of
 from jaxpoint.pointing.posterior import Behaviour
 
-AIMING_DEG = 28.0  # between finger and line of sight, where both ways are equally probable
+AIMING_DEG = 28.0  # between finger and line of sight, where both hypotheses are equally probable
 AIMING_WIDTH_DEG = 3.0
 SAME_SIDE = 0.7  # of people aim with the eye on the side of the hand that points
 AIMED = 0.5  # of a thing's size, about its middle, where people aim (`experiments/pointing_reliability.py`)
-SURE_OF_WAY = 0.01  # however clear the angle, the other way keeps this much
+LEAST_WEIGHT = 0.01  # however clear the angle, the other hypothesis keeps this much
 
 
 class People(eqx.Module):
@@ -49,9 +49,9 @@ class Correction(eqx.Module):
     """What takes a bias off the line of one kind, and how people scatter about it then."""
 
     lines: tuple[LineKind, ...] = eqx.field(static=True)  # that the model reads; the first is the one that is turned
-    model: AbstractModel
+    model: AbstractBiasModel
     behaviour: Behaviour  # of somebody who was not fitted
-    people: People | None  # None: where everybody pointed once, what is a person's own cannot be told
+    people: People | None  # None: where everybody pointed once, what is a person's own cannot be known
 
     @property
     def kind(self) -> LineKind:
@@ -60,8 +60,8 @@ class Correction(eqx.Module):
 
 
 @dataclass(frozen=True)
-class Hypothesis:
-    """One way of pointing, for G gestures."""
+class LineHypothesis:
+    """One hypothesis of pointing, for G gestures."""
 
     kind: str  # of `KINDS`, or "blend"
     lines: PointingLine  # leading axis G
@@ -73,13 +73,13 @@ class Hypothesis:
     offset: Float[np.ndarray, "G 2"] | None = None  # rad, to the left of a right arm and up: learnt and taken off
 
 
-def hypotheses(
+def line_hypotheses(
     held: HeldJoints,
     kind: str,
     blend: Mapping[str, float] | None = None,
     correction: Correction | None = None,
-) -> list[Hypothesis]:
-    """The ways of pointing that are weighed: one for a line that was asked for, three for `auto`.
+) -> list[LineHypothesis]:
+    """The hypotheses of pointing that are weighed: one for a line that was asked for, three for `auto`.
 
     Args:
         held: joints of G gestures.
@@ -91,10 +91,10 @@ def hypotheses(
         ValueError: weights of a blend that cannot be used.
     """
     chosen = weights_of(blend or {} if kind == "blend" else "forearm" if kind == "auto" else kind)
-    draw = partial(_all_ways, kind, chosen, correction)
+    draw = partial(_all_hypotheses, kind, chosen, correction)
     found = over_lines(draw, held.joints, held.covariance, held.calibration)
     return [
-        Hypothesis(
+        LineHypothesis(
             name,
             lines,
             np.asarray(weight),
@@ -120,7 +120,7 @@ def _behaviour(name: str, correction: Correction | None) -> Behaviour:
 
 
 @partial(jit, static_argnames="kind")
-def _all_ways(
+def _all_hypotheses(
     kind: str,
     chosen: Float[Array, "5"],
     correction: Correction | None,
@@ -128,26 +128,26 @@ def _all_ways(
     covariance: Float[Array, "G 18 18"],
     calibration: Float[Array, "G 18 18"],
 ) -> tuple[tuple[PointingLine, Float[Array, "G 3 3"], Float[Array, " G"]], ...]:
-    """Of each way its lines, the calibration's part of the directions' covariance, and its weight: one program."""
+    """Of each hypothesis lines, the calibration's part of the directions' covariance, and weight: one program."""
 
-    def way(name: str, joints: Joints, weight: Array):
+    def hypothesis(name: str, joints: Joints, weight: Array):
         weights = chosen if name == kind else jnp.asarray(weights_of(name))
         every = jnp.broadcast_to(weights, (len(covariance), len(KINDS)))
 
         def lines(covariance: Array) -> PointingLine:
             if correction is None or correction.kind != name:
                 return pointing_lines(joints, covariance, every)
-            return drawn(correction.lines, correction.model, joints, covariance)
+            return corrected_lines(correction.lines, correction.model, joints, covariance)
 
         return lines(covariance), lines(calibration).direction_covariance, weight
 
     if kind != "auto":
-        return (way(kind, joints, jnp.ones(len(covariance))),)
+        return (hypothesis(kind, joints, jnp.ones(len(covariance))),)
     aims = _aiming(joints)
     return (
-        way("eye-fingertip", joints, SAME_SIDE * aims),
-        way("eye-fingertip", jax.vmap(other_eye)(joints), (1 - SAME_SIDE) * aims),
-        way("forearm", joints, 1 - aims),
+        hypothesis("eye-fingertip", joints, SAME_SIDE * aims),
+        hypothesis("eye-fingertip", jax.vmap(other_eye)(joints), (1 - SAME_SIDE) * aims),
+        hypothesis("forearm", joints, 1 - aims),
     )
 
 
@@ -170,7 +170,7 @@ def correction_of(bias: Bias) -> Correction:
 
 
 def _behaviour_about(spread: Spread) -> Behaviour:
-    """What a fitted scatter says of how lines lie about what is meant."""
+    """How lines lie about what is meant, by a fitted scatter."""
     azimuth, elevation = np.sqrt(np.diag(np.asarray(spread.scale)))
     return Behaviour(azimuth, elevation, freedom=int(spread.freedom), aimed=AIMED)
 
@@ -212,4 +212,4 @@ def _aiming(joints: Joints) -> Float[Array, " G"]:
     sight = joints.tip - joints.head
     apart = jnp.degrees(angle_between(directions(joints)[..., KINDS.index("finger"), :], sight))
     share = jax.nn.sigmoid((AIMING_DEG - apart) / AIMING_WIDTH_DEG)
-    return jnp.clip(share, SURE_OF_WAY, 1 - SURE_OF_WAY)
+    return jnp.clip(share, LEAST_WEIGHT, 1 - LEAST_WEIGHT)

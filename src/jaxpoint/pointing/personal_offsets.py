@@ -1,8 +1,8 @@
 """By how much a person's own line misses what is meant, learnt from what the lines of all gestures meet.
 
-Who points with the forearm misses by much, but by nearly the same each time. So of all offsets that people have, those
-count under which the lines of a person's gestures meet things that can be meant; nobody has to say what was meant. Who
-points once is not told from others, and is answered as anybody.
+People who point with the forearm miss by much, but by nearly the same each time. So of all offsets that people have,
+those count under which the lines of a person's gestures meet things that can be meant; what was meant need not be
+known. A person who points once is treated as anybody.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from jaxtyping import Bool, Float, Int
 
 from jaxpoint.geometry.angles import turned
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.line_hypotheses import Hypothesis, People
+from jaxpoint.pointing.line_hypotheses import LineHypothesis, People
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour
 
 REACH = 6.0  # standard deviations of people, up to which offsets are tried
-FREEDOM = 4.0  # of Student's t, by which people's offsets are told: some people are unlike all others
+FREEDOM = 4.0  # of Student's t, by which people's offsets are distributed: some people are unlike all others
 STEP = 0.8  # standard deviations of one person's gestures, from one offset to the next
 MOST_STEPS = 20  # to each side
 LEAST = 1e-3  # of the middle's prior, below which an offset is not tried
@@ -64,32 +64,33 @@ def turned_lines(
 
 
 @dataclass(frozen=True)
-class Learnt:
-    """What a person's gestures make of one way of pointing, for the gestures of who points more than once."""
+class PersonalOffset:
+    """What a person's gestures make of one hypothesis of pointing, for people who point more than once."""
 
     gestures: Int[np.ndarray, " g"]  # their numbers
-    offset: Float[np.ndarray, "g 2"]  # rad, to the left of a right arm and up: mean of what all of them tell
+    offset: Float[np.ndarray, "g 2"]  # rad, to the left of a right arm and up: mean over all of them
     probability: Float[np.ndarray, "g answers"]
     marginal: Float[np.ndarray, " g"]  # density of the line whatever is meant
 
 
 def learnt_offsets(
-    way: Hypothesis,
+    hypothesis: LineHypothesis,
     others: Float[np.ndarray, " G"],
     wrong: Float[np.ndarray, " G"],
     people: Sequence[int],
     mirrored: Bool[np.ndarray, " G"],
     ask: Ask,
-) -> Learnt | None:
-    """One way of pointing once each person's offset has been learnt from that person's gestures.
+) -> PersonalOffset | None:
+    """One hypothesis of pointing once each person's offset has been learnt from that person's gestures.
 
     Bayes' rule on a grid: prior of an offset times, over the other gestures, the density of each under it, whether it
-    was made in this way or in another, or its arm was another limb; times the gesture's own density in this way.
+    was made by this hypothesis or by another, or its arm was another limb; times the gesture's own density by this
+    hypothesis.
 
     Args:
-        way: how people differ in it is known.
-        others: density of each gesture by all other ways, times their weights, 1/sr.
-        wrong: probability that the arm of each gesture is none.
+        hypothesis: how people differ in it is known.
+        others: density of each gesture by all other hypotheses, times their weights, 1/sr.
+        wrong: probability that the arm of each gesture is another limb, or none.
         people: who makes each gesture.
         mirrored: left arms.
         ask: probabilities and densities of lines of some gestures, under one behaviour.
@@ -99,13 +100,13 @@ def learnt_offsets(
     """
     _, who, count = np.unique(people, return_inverse=True, return_counts=True)
     gestures = np.flatnonzero(count[who] > 1)
-    if way.people is None or not len(gestures):
+    if hypothesis.people is None or not len(gestures):
         return None
-    grid, who = Offsets.of(way.people), who[gestures]
-    lines = jax.tree.map(lambda leaf: np.asarray(leaf)[gestures], way.lines)
+    grid, who = Offsets.of(hypothesis.people), who[gestures]
+    lines = jax.tree.map(lambda leaf: np.asarray(leaf)[gestures], hypothesis.lines)
     tried = np.broadcast_to(grid.angles[:, None], (len(grid.angles), len(gestures), 2))
-    told, marginal = ask(turned_lines(lines, tried, mirrored[gestures]), way.people.within, gestures)
-    density = others[gestures] + way.weight[gestures] * marginal
+    found, marginal = ask(turned_lines(lines, tried, mirrored[gestures]), hypothesis.people.within, gestures)
+    density = others[gestures] + hypothesis.weight[gestures] * marginal
     seen = np.log((1 - wrong[gestures]) * density + wrong[gestures] / (4 * np.pi))
     total = np.zeros((len(grid.prior), len(count)))
     np.add.at(total.T, who, seen.T)
@@ -113,8 +114,8 @@ def learnt_offsets(
     joint = before * marginal
     own = joint.sum(axis=0)
     share = joint / np.where(own > 0, own, 1.0)
-    told = np.einsum("og,oga->ga", share, told)
-    return Learnt(gestures, share.T @ grid.angles, told, own)
+    found = np.einsum("og,oga->ga", share, found)
+    return PersonalOffset(gestures, share.T @ grid.angles, found, own)
 
 
 def _shares(log_weights: Float[np.ndarray, "O g"]) -> Float[np.ndarray, "O g"]:

@@ -13,10 +13,10 @@ from jaxpoint.body.following import Following
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.point import PointSettings, RoomExtent
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.pointing.answers import Answer, Scene, answers
+from jaxpoint.pointing.answers import Answer, ObjectScene, answers
 from jaxpoint.pointing.held_joints import HeldJoints, held_joints
 from jaxpoint.pointing.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
-from jaxpoint.pointing.line_hypotheses import Correction, hypotheses
+from jaxpoint.pointing.line_hypotheses import Correction, line_hypotheses
 from jaxpoint.pointing.no_gesture import no_gesture
 from jaxpoint.pointing.room import MAX_ROOM_M, Room
 from jaxpoint.pointing.spoken import Interval, Word, evidence_of, pair_words
@@ -29,7 +29,7 @@ class SessionAnswers:
     answers: tuple[Answer, ...]
     moments: tuple[int, ...]  # of each the place of the moment shown
     people: tuple[int, ...]  # of each the place of the person in the head tracks
-    scene: Scene
+    scene: ObjectScene
     notes: tuple[str, ...]
 
 
@@ -56,7 +56,7 @@ def room_of(extent: RoomExtent) -> Room | None:
 def answer_gestures(
     rig: CameraRig,
     following: Following,
-    scene: Scene,
+    scene: ObjectScene,
     settings: PointSettings,
     *,
     times: Sequence[Interval] | None = None,
@@ -74,7 +74,7 @@ def answer_gestures(
         settings: of gestures and lines.
         times: when gestures are; they are looked for where this is None.
         words: what was said; a word such as "this" is paired with a gesture, names and tags are evidence.
-        camera_covariance: of the cameras' 15 C numbers, where the calibration says it.
+        camera_covariance: of the cameras' D = p C parameters, where the calibration has it.
         correction: a bias to take off.
         notes: what is to be known of the recording, a sentence each.
 
@@ -83,18 +83,18 @@ def answer_gestures(
     """
     heads = following.tracking.heads
     tracks = arm_tracks(following)
-    holds = find_holds(tracks, settings.gesture) if times is None else _given(heads.times, tracks, times, settings)
+    holds = find_holds(tracks, settings.gesture) if times is None else _holds_in(heads.times, tracks, times, settings)
     if not holds:
         raise no_gesture(len(heads.times), following, tracks, settings.gesture)
     said = pair_words(words, [(hold.start_s, hold.end_s) for hold in holds])
     with jax.enable_x64(True):
         held = held_joints(rig, following, holds, camera_covariance)
-        ways = hypotheses(held, settings.line, settings.blend, correction)
+        hypotheses = line_hypotheses(held, settings.line, settings.blend, correction)
         scene = scene if scene.room_known else replace(scene, room=_guessed_room(scene, rig, held))
         found = answers(
             holds,
             held,
-            ways,
+            hypotheses,
             scene,
             heads.people.tolist(),
             heads.frame_ids[held.moments].tolist(),
@@ -109,7 +109,7 @@ def answer_gestures(
     return SessionAnswers(tuple(found), *where, scene, notes)
 
 
-def _given(
+def _holds_in(
     clock: Float[np.ndarray, " F"], tracks: Sequence[ArmTrack], times: Sequence[Interval], settings: PointSettings
 ) -> list[Hold]:
     holds = [hold_within(tracks, given.start_s, given.end_s, settings.gesture) for given in times]
@@ -128,7 +128,7 @@ def _given(
     return [hold for hold in holds if hold is not None]
 
 
-def _guessed_room(scene: Scene, rig: CameraRig, held: HeldJoints) -> Room:
+def _guessed_room(scene: ObjectScene, rig: CameraRig, held: HeldJoints) -> Room:
     """The objects' room, grown by cameras and people; not where they are in quite another place than the objects."""
     inside = np.concatenate([rig.positions, np.reshape(held.joints.flat, (-1, 3))])
     grown = Room.around(scene.objects, inside)
@@ -137,7 +137,7 @@ def _guessed_room(scene: Scene, rig: CameraRig, held: HeldJoints) -> Room:
     return scene.room if apart > max((high - low).max(), np.ptp(inside, axis=0).max()) else grown
 
 
-def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
+def _outside(found: Sequence[Answer], scene: ObjectScene) -> InsufficientDataError:
     low, high = np.asarray(scene.room.low), np.asarray(scene.room.high)
     place = ", ".join(f"{value:.2f}" for value in found[0].origin)
     room = " to ".join("(" + ", ".join(f"{value:.1f}" for value in corner) + ")" for corner in (low, high))
@@ -149,7 +149,7 @@ def _outside(found: Sequence[Answer], scene: Scene) -> InsufficientDataError:
     )
 
 
-def _notes(scene: Scene, known: bool) -> tuple[str, ...]:
+def _notes(scene: ObjectScene, known: bool) -> tuple[str, ...]:
     notes = []
     if not scene.room_known:
         notes.append(
@@ -157,5 +157,5 @@ def _notes(scene: Scene, known: bool) -> tuple[str, ...]:
             "and --room.high, give it."
         )
     if not known:
-        notes.append("The calibration does not say how wrong it may be: its part of the lines' errors is left out.")
+        notes.append("The calibration has no covariance: its part of the lines' errors is left out.")
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""Lines of pointing: a ray in the room that says where somebody points, and how far to trust it (SPEC 6)."""
+"""Lines of pointing: a ray in the room that says where somebody points, and its covariance (thesis 7.3)."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def directions(joints: Joints) -> Float[Array, "*batch 5 3"]:
 def pointing_ray(joints: Joints, weights: Float[AnyArray, "5"]) -> Ray:
     """The ray from the tip in the direction of a blend of `KINDS`; see `weights_of`.
 
-    Every line starts at the fingertip, whichever joints it is drawn through (SPEC 7).
+    Every line starts at the fingertip, whichever joints it is drawn through.
     """
     blended = jnp.sum(as_float(weights)[:, None] * directions(joints), axis=-2)
     return Ray(joints.tip, normalised(blended))

@@ -1,4 +1,4 @@
-"""What spoken words say about which object is meant: factors of likelihood for `posterior`."""
+"""What spoken words reveal about the object that is meant: factors of likelihood for `posterior`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MISNAMED = 0.1  # how likely a word that fits other objects is said of one that 
 def words_evidence(objects: Objects, words: Sequence[str], misnamed: float = MISNAMED) -> Float[np.ndarray, " K"]:
     """One factor an object: 1 where all words fit its name, kind or tags, `misnamed` times less for each that does not.
 
-    Words that fit no object ("that", "over", "there") say nothing.
+    Words that fit no object ("that", "over", "there") change nothing.
     """
     known = [
         _stems(" ".join((name, kind, *tags))) for name, kind, tags in zip(objects.names, objects.kinds, objects.tags)

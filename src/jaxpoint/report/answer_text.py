@@ -63,7 +63,7 @@ def as_json(answer: Answer) -> Mapping[str, object]:
     """All of an answer, for a program or a robot.
 
     `point_m` is where to go: the place where the line meets the answer, the object's middle where it passes it by, the
-    place on the room's surface where nothing is meant; None only for who points from outside of the room at nothing.
+    place on the room's surface where nothing is meant; None only where a person outside the room points at nothing.
     """
     return {
         "gesture": answer.number,

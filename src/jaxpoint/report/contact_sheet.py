@@ -44,7 +44,7 @@ def contact_sheet(
         views: in the order of reading.
         columns: views side by side.
         width: of each, px.
-        zoom: cut each view to its silhouettes and what is drawn, so that small people can be judged.
+        zoom: cut each view to its silhouettes and what is drawn, so that small people can be seen.
 
     Raises:
         ValueError: there are no views.
@@ -104,7 +104,7 @@ def _cell(view: PersonView, width: int, zoom: bool, lines: int) -> np.ndarray:
         if pixel is not None:
             cv2.circle(image, place(pixel), 5, (255, 255, 255), -1, cv2.LINE_AA)
             cv2.circle(image, place(pixel), 4, color, -1, cv2.LINE_AA)
-    return titled(image, view.title, view.reason, lines)
+    return add_title(image, view.title, view.reason, lines)
 
 
 def _part(view: PersonView) -> tuple[int, int, int, int]:
@@ -124,8 +124,8 @@ def _part(view: PersonView) -> tuple[int, int, int, int]:
     return int(corner[0]), int(corner[1]), int(size[0]), int(size[1])
 
 
-def titled(image: UInt8[np.ndarray, "H W 3"], title: str, reason: str, lines: int = 2) -> UInt8[np.ndarray, "G W 3"]:
-    """The image under a line that says what it is, and, with two lines, one with the reason in red."""
+def add_title(image: UInt8[np.ndarray, "H W 3"], title: str, reason: str, lines: int = 2) -> UInt8[np.ndarray, "G W 3"]:
+    """The image under a line with its title, and, with two lines, one with the reason in red."""
     band = np.full((_BAND * lines, image.shape[1], 3), _PAPER, np.uint8)
     for row, (text, color) in enumerate(((title, _TEXT), (reason, _BAD))[:lines]):
         cv2.putText(band, _fitting(text, image.shape[1] - 4), (2, row * _BAND + 16), _FONT, 0.45, color, 1, cv2.LINE_AA)

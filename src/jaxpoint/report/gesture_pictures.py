@@ -156,13 +156,13 @@ def _view(
     rig: CameraRig, camera: int, image: Image, answer: Answer, arm: PointingArm | None, faces: Mapping[str, list]
 ) -> PointingView:
     def seen(points: Float[np.ndarray, "N 3"]) -> list[Float[np.ndarray, "M 2"]]:
-        return _projected(rig, camera, points)
+        return _project(rig, camera, points)
 
     outlines = []
     for name in [answer.name, *_likely(answer)]:
         edges: list[np.ndarray] = []
         for face in faces.get(name, []):
-            edges += seen(_closed(face))
+            edges += seen(_close_outline(face))
         if edges:
             outlines.append(Outline(name, edges, name == answer.name))
     reach = np.linspace(0.03, max(answer.distance_m, 0.5), _STEPS)
@@ -179,14 +179,14 @@ def _pair(pixel: Float[np.ndarray, "2"]) -> tuple[float, float]:
     return float(pixel[0]), float(pixel[1])
 
 
-def _closed(corners: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
+def _close_outline(corners: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "M 3"]:
     """The outline once around, with places along each edge."""
     share = np.linspace(0.0, 1.0, _STEPS)[:, None]
     ends = np.roll(corners, -1, axis=0)
     return np.concatenate([a + share * (b - a) for a, b in zip(corners, ends)])
 
 
-def _projected(rig: CameraRig, camera: int, points: np.ndarray) -> list[Float[np.ndarray, "M 2"]]:
+def _project(rig: CameraRig, camera: int, points: np.ndarray) -> list[Float[np.ndarray, "M 2"]]:
     """Runs of points in front of a camera, as pixels.
 
     Far outside of the image a lens model folds back and means nothing: what does not undistort to where it came from

@@ -26,9 +26,9 @@ def gestures_table(answers: Sequence[Answer]) -> dict[str, list]:
 
 def _line(answer: Answer) -> dict[str, Any]:
     chances = dict(answer.probabilities)
-    told = as_json(answer)
+    values = as_json(answer)
     line: dict[str, Any] = {
-        **{name: told[name] for name in COLUMNS if name in told},
+        **{name: values[name] for name in COLUMNS if name in values},
         "words": " ".join(answer.words),
         "ambiguous": int(answer.ambiguous),
         "nothing_probability": chances.get("nothing", 0.0),

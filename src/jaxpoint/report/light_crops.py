@@ -22,7 +22,7 @@ MAX_GAIN = 4.0  # dark crops are shown this much brighter at most
 
 
 @dataclass(frozen=True)
-class Crop:
+class LightCrop:
     """One light, or what was taken for none, much enlarged."""
 
     reason: Reason
@@ -32,7 +32,7 @@ class Crop:
 
 def contact_sheet(
     detection: LedDetection, camera: int, per_reason: int = 6, radius: int = 12, zoom: int = 6
-) -> list[Crop]:
+) -> list[LightCrop]:
     """A few crops of one camera for each reason that occurred, spread over the recording, in the order of `Reason`.
 
     Each shows (2 radius + 1) px of the image around the light or, where none was found, around the brightest place,
@@ -55,7 +55,7 @@ def contact_sheet(
             image = source.read(int(detection.pairing.index[frame, camera]))
             pixel = detection.tracks.pixels[frame, camera] if reason == Reason.FOUND else None
             crop = _crop(image, mask, detection.brightest[frame, camera], pixel, radius, zoom)
-            crops.append(Crop(reason, frame_id, crop))
+            crops.append(LightCrop(reason, frame_id, crop))
     return crops
 
 
@@ -69,8 +69,8 @@ def mask_overview(detection: LedDetection, camera: int) -> UInt8[np.ndarray, "h 
     mask = _mask(detection, camera, source)
     if mask is None:
         return None
-    image = _brightened(source.read(0).astype(np.float32))
-    striped = _striped(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), mask)
+    image = _brighten(source.read(0).astype(np.float32))
+    striped = _stripe(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), mask)
     height = max(1, round(OVERVIEW * striped.shape[0] / striped.shape[1]))
     return np.asarray(cv2.resize(striped, (OVERVIEW, height), interpolation=cv2.INTER_AREA))
 
@@ -80,11 +80,11 @@ def _mask(detection: LedDetection, camera: int, source: FrameSource) -> Mask | N
     return None if file is None else read_mask(file, source.size)
 
 
-def _brightened(image: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
+def _brighten(image: np.ndarray) -> UInt8[np.ndarray, "h w 3"]:
     return np.clip(image * min(MAX_GAIN, 255.0 / max(float(image.max()), 1.0)), 0, 255).astype(np.uint8)
 
 
-def _striped(image: np.ndarray, mask: Mask) -> UInt8[np.ndarray, "h w 3"]:
+def _stripe(image: np.ndarray, mask: Mask) -> UInt8[np.ndarray, "h w 3"]:
     """The image with oblique stripes over what the mask hides."""
     rows, columns = np.indices(mask.shape)
     stripes = (rows + columns) % STRIPE < STRIPE // 2
@@ -102,11 +102,11 @@ def _crop(
     padded = cv2.copyMakeBorder(image, radius, radius, radius, radius, cv2.BORDER_CONSTANT)
     x, y = (int(value) for value in middle)
     part = np.s_[y : y + 2 * radius + 1, x : x + 2 * radius + 1]
-    crop = _brightened(np.asarray(padded)[part].astype(np.float32))
+    crop = _brighten(np.asarray(padded)[part].astype(np.float32))
     large = cv2.resize(cv2.cvtColor(crop, cv2.COLOR_BGR2RGB), None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
     if mask is not None:
         seen = np.kron(np.pad(mask, radius, constant_values=True)[part], np.ones((zoom, zoom), dtype=bool))
-        large = _striped(np.asarray(large), seen)
+        large = _stripe(np.asarray(large), seen)
     if pixel is not None:
         # The centre of a pixel lies in the middle of its zoom x zoom square.
         place = (pixel - middle + radius + 0.5) * zoom - 0.5

@@ -62,8 +62,8 @@ def _caption(session: Session, moment: int, tip: MarkerTip | None) -> str:
     if not tip.found:
         return f"{text}; no tip in the room: {tip.reason.name.lower().replace('_', ' ')}"
     place = ", ".join(f"{value:.3f}" for value in tip.tip)
-    told = f"{text}; tip at {place} m in {len(tip.members)} views, {100 * tip.spread:.1f} cm apart"
-    return told if tip.reason == TipReason.FOUND else f"{told}; no direction"
+    found = f"{text}; tip at {place} m in {len(tip.members)} views, {100 * tip.spread:.1f} cm apart"
+    return found if tip.reason == TipReason.FOUND else f"{found}; no direction"
 
 
 def _view(

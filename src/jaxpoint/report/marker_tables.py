@@ -24,11 +24,11 @@ TIP_COLUMNS = (
 )  # fmt: skip
 
 
-def seen(session: Session, markers: Sequence[MarkerViews], tips: Sequence[MarkerTip] | None) -> dict[str, list]:
+def views_table(session: Session, markers: Sequence[MarkerViews], tips: Sequence[MarkerTip] | None) -> dict[str, list]:
     """Every moment of every camera: the marker, or why there is none.
 
-    `counts` says whether the view has a say in the room; where it has none, the largest place of the marker's colour is
-    given.
+    `counts` is 1 where the view is used for the marker in the room; where it is not, the largest place of the marker's
+    colour is given.
     """
     lines = []
     for moment, (frame, time) in enumerate(zip(session.moments.tolist(), session.times.tolist())):
@@ -42,7 +42,7 @@ def seen(session: Session, markers: Sequence[MarkerViews], tips: Sequence[Marker
     return {column: [line.get(column) for line in lines] for column in SEEN_COLUMNS}
 
 
-def in_room(session: Session, tips: Sequence[MarkerTip]) -> dict[str, list]:
+def room_table(session: Session, tips: Sequence[MarkerTip]) -> dict[str, list]:
     """Every moment: the marker in the room, or why it is not known."""
     lines = []
     for frame, time, tip in zip(session.moments.tolist(), session.times.tolist(), tips):

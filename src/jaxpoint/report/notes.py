@@ -1,4 +1,4 @@
-"""What to know of a recording before its answers are believed."""
+"""Notes on a recording, to be read before its answers are used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _ANY = "\0"  # where a camera stood; in no sentence otherwise
 
 
 def merged_notes(notes: Sequence[str]) -> list[str]:
-    """Every note once; a single sentence where the same is to be said of several cameras.
+    """Every note once; a single sentence where the same holds for several cameras.
 
     Args:
         notes: sentences that name a camera, if any, as "camera 'cam_0'".

@@ -1,4 +1,4 @@
-"""The page of a session with people: who was where, what was found in which frame, and pictures."""
+"""The page of a session with people: where each was, what was found in which frame, and pictures."""
 
 from __future__ import annotations
 

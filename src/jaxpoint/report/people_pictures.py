@@ -74,8 +74,8 @@ def _caption(session: Session, following: Following | None, moment: int) -> str:
         return text
     people = following.tracking.heads.people
     arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == moment and arm is not None]
-    told = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
-    return "; ".join([text, *told])
+    found = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
+    return "; ".join([text, *found])
 
 
 def _view(

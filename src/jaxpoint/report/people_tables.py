@@ -26,8 +26,8 @@ ARM_COLUMNS = (
 )  # fmt: skip
 
 
-def detections(session: Session, views: Sequence[AbstractCameraEvidence], following: Following | None) -> Columns:
-    """Every moment of every camera: a line for each person seen, or one that says why there is none.
+def detections_table(session: Session, views: Sequence[AbstractCameraEvidence], following: Following | None) -> Columns:
+    """Every moment of every camera: a line for each person seen, or one with the reason why there is none.
 
     `person` is the id of the head track, empty where a sighting belongs to none.
     """
@@ -43,15 +43,16 @@ def detections(session: Session, views: Sequence[AbstractCameraEvidence], follow
                 lines.append({**start, "reason": reason.name.lower()})
             for sighting in sightings:
                 person = owners[camera].get(sighting)
-                line = {**start, "reason": _why(reason, bool(view.colourless[moment])), **_seen(view, sighting)}
+                why = _why(reason, bool(view.colourless[moment]))
+                line = {**start, "reason": why, **_sighting_columns(view, sighting)}
                 if following is not None and person is not None:
                     line["person"] = int(following.tracking.heads.people[person])
-                    line.update(_arm(following.arms.get((moment, person)), camera))
+                    line.update(_arm_columns(following.arms.get((moment, person)), camera))
                 lines.append(line)
     return _columns(lines, DETECTION_COLUMNS)
 
 
-def arms(session: Session, following: Following) -> Columns:
+def arms_table(session: Session, following: Following) -> Columns:
     """Every moment of every person: the arm in the room, or why there is none."""
     lines = []
     heads = following.tracking.heads
@@ -64,12 +65,12 @@ def arms(session: Session, following: Following) -> Columns:
             "views": 0,
         }
         if arm is not None:
-            line.update(_in_room(arm))
+            line.update(_room_columns(arm))
         lines.append(line)
     return _columns(lines, ARM_COLUMNS)
 
 
-def _in_room(arm: PointingArm) -> dict[str, Any]:
+def _room_columns(arm: PointingArm) -> dict[str, Any]:
     parts = (("tip", arm.tip, "_m"), ("near", arm.axis.near, "_m"), ("far", arm.axis.far, "_m"))
     places = {f"{name}_{axis}{unit}": float(p[i]) for name, p, unit in parts for i, axis in enumerate("xyz")}
     directions = {f"direction_{axis}": float(arm.direction[i]) for i, axis in enumerate("xyz")}
@@ -85,7 +86,7 @@ def _in_room(arm: PointingArm) -> dict[str, Any]:
     }
 
 
-def _seen(view: AbstractCameraEvidence, sighting: int) -> dict[str, Any]:
+def _sighting_columns(view: AbstractCameraEvidence, sighting: int) -> dict[str, Any]:
     x, y, width, height = (int(n) for n in view.box[sighting])
     seen: dict[str, Any] = {
         "box_x": x, "box_y": y, "box_width": width, "box_height": height,
@@ -99,7 +100,7 @@ def _seen(view: AbstractCameraEvidence, sighting: int) -> dict[str, Any]:
     return seen
 
 
-def _arm(arm: PointingArm | None, camera: int) -> dict[str, Any]:
+def _arm_columns(arm: PointingArm | None, camera: int) -> dict[str, Any]:
     if arm is None:
         return {"arm_reason": ArmReason.NO_ARM.name.lower()}
     own: ArmView = arm.views[camera]

@@ -218,7 +218,7 @@ def test_grey_videos_are_told_and_left_out_beside_an_empty_room_in_colour(sessio
         cv2.imwrite(str(path), cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
     (views,) = watch_session(open_session(folder), PersonSettings(), workers=1)
     assert set(views.reasons) == {FrameReason.PERSON}
-    assert "'cam_0': 2 of 2 images have no colour, so that skin cannot be told" in views.notes[-1]
+    assert "'cam_0': 2 of 2 images have no colour, so that skin cannot be recognised" in views.notes[-1]
 
 
 def test_an_empty_room_that_does_not_fit_names_its_camera(session, tmp_path, capsys):

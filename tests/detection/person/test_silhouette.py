@@ -7,12 +7,12 @@ import pytest
 from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
 from jaxpoint.detection.person.silhouette import (
     AdaptiveBackground,
-    closed,
+    close_gaps,
     foreground,
     learn_background,
     never_clears,
     silhouettes,
-    thickened,
+    thicken,
 )
 from jaxpoint.errors import InsufficientDataError
 
@@ -120,20 +120,20 @@ def test_thickening_never_joins():
     rng = np.random.default_rng(8)
     mask = np.where(rng.random((60, 80)) < 0.08, np.uint8(255), np.uint8(0))
     before = cv2.connectedComponents(mask, connectivity=8)[0]
-    grown = thickened(mask)
+    grown = thicken(mask)
     assert cv2.connectedComponents(grown, connectivity=8)[0] == before
     assert np.count_nonzero(grown) > 1.3 * np.count_nonzero(mask)
     assert (grown[mask > 0] > 0).all()
     dot = np.zeros((9, 9), np.uint8)
     dot[4, 4] = 255
-    np.testing.assert_array_equal(thickened(dot), cv2.dilate(dot, np.ones((3, 3), np.uint8)))
+    np.testing.assert_array_equal(thicken(dot), cv2.dilate(dot, np.ones((3, 3), np.uint8)))
 
 
 def test_closing_is_dilation_then_erosion():
     mask = np.zeros((40, 40), np.uint8)
     mask[10:30, 8:18] = mask[10:30, 22:32] = 255  # 4 px apart
-    assert (closed(mask, 7)[10:30, 18:22] == 255).all()
-    np.testing.assert_array_equal(closed(mask, 3), mask)
+    assert (close_gaps(mask, 7)[10:30, 18:22] == 255).all()
+    np.testing.assert_array_equal(close_gaps(mask, 3), mask)
 
 
 def test_too_few_images_and_another_size_are_refused(drawn, scene):

@@ -1,8 +1,8 @@
-"""Who came out of a meeting of two people, decided once it is over.
+"""Identities after a meeting of two people, decided once it is over.
 
 While two people are beside one another most views take them for one, and a track may lose its head to the other's. A
-recording knows both ends: each encounter is gone through twice, once as if everybody went on as the tracks say and once
-as if they had changed places. Each time the two ways are first bridged by the smoother, then the candidates in between
+recording knows both ends: each encounter is gone through twice, once as if everybody went on as the tracks do and once
+as if they had changed places. Each time the two paths are first bridged by the smoother, then the candidates in between
 are given to them anew, the surest first. The hypothesis under which the rays are more likely is the truth.
 """
 
@@ -16,18 +16,18 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.stats import chi2
 
-from jaxpoint.body.tracking.head_association import Predictions, associate, explained
+from jaxpoint.body.tracking.head_association import Predictions, associate, explained_share
 from jaxpoint.body.tracking.head_tracks import Status, Tracking, status_of
 from jaxpoint.body.tracking.identity import BESIDE_M
 from jaxpoint.body.tracking.kalman import State
 from jaxpoint.body.tracking.measurement import measure
 from jaxpoint.body.tracking.rays import Rays
-from jaxpoint.body.tracking.smoothing import Way, run_ways
+from jaxpoint.body.tracking.smoothing import HeadPath, smooth_paths
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 
 _LEAST_VIEWS = (3, 2, 1)  # that a head needs, in each round of bridging and giving the candidates anew
-_CONTEXT = 16  # frames before and after an encounter that tell how people came and went
+_CONTEXT = 16  # frames before and after an encounter that show how people came and went
 _LONGEST = 90  # frames; two people who stand together for longer are left as they are
 _CALM = 2  # frames in a row in which both are seen well end an encounter
 _STATURE_M = 0.03  # standard deviation of a walking person's height, from one second to the next
@@ -36,7 +36,7 @@ _RETURN_M_S = 2.0  # nobody walks faster while nobody sees him
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenHeads:
     """What the cameras saw, over all frames."""
 
     rig: CameraRig
@@ -55,7 +55,7 @@ class Encounter:
     pair: tuple[int, int]  # columns
 
 
-def resolve(tracking: Tracking, seen: Seen, settings: TrackSettings) -> bool:
+def resolve(tracking: Tracking, seen: SeenHeads, settings: TrackSettings) -> bool:
     """Settle all encounters, in place; whether there was any."""
     after: tuple = (-1,)
     while True:  # places change, so that later encounters are looked for anew
@@ -63,7 +63,7 @@ def resolve(tracking: Tracking, seen: Seen, settings: TrackSettings) -> bool:
         if not left:
             return len(after) > 1
         after = left[0].first, left[0].pair
-        _settle(tracking, seen, left[0], settings)
+        _resolve(tracking, seen, left[0], settings)
 
 
 def encounters(tracking: Tracking) -> list[Encounter]:
@@ -87,10 +87,10 @@ def encounters(tracking: Tracking) -> list[Encounter]:
 
 
 def rejoin(tracking: Tracking, settings: TrackSettings) -> None:
-    """Give who appeared beside somebody the id of who vanished there, in place.
+    """Give a person who appeared beside another the id of the one who vanished there, in place.
 
     Rays to two people take a track away from its head so that it cannot be taken up again: it ends, and another begins.
-    Which of the two people was lost is settled afterwards.
+    Which of the two people was lost is decided afterwards.
     """
     heads = tracking.heads
     for new in range(len(heads.people)):
@@ -111,8 +111,8 @@ def _may_be(tracking: Tracking, old: int, new: int, start: int, settings: TrackS
         return False
     end = int(measured[measured < start][-1])
     gap = heads.times[start] - heads.times[end]
-    way = np.linalg.norm(heads.positions[start, new] - heads.positions[end, old])
-    if gap > 2 * settings.occlusion_s or way > BESIDE_M + _RETURN_M_S * gap:
+    distance = np.linalg.norm(heads.positions[start, new] - heads.positions[end, old])
+    if gap > 2 * settings.occlusion_s or distance > BESIDE_M + _RETURN_M_S * gap:
         return False
     others = [column for column in range(len(heads.people)) if column not in (old, new)]
     return any(
@@ -139,9 +139,9 @@ def _runs(mask: Bool[np.ndarray, " F"]) -> list[tuple[int, int]]:
     return [(int(first), int(end) - 1) for first, end in zip(edges[::2], edges[1::2])]
 
 
-def _settle(tracking: Tracking, seen: Seen, meeting: Encounter, settings: TrackSettings) -> None:
+def _resolve(tracking: Tracking, seen: SeenHeads, meeting: Encounter, settings: TrackSettings) -> None:
     """Give one encounter's frames to the hypothesis that explains them best."""
-    trials = [Trial(tracking, meeting, swap=swap) for swap in (False, True)]
+    trials = [Continuation(tracking, meeting, swap=swap) for swap in (False, True)]
     if not all(trial.begins for trial in trials):
         return
     rays = [_free(tracking, seen.rays[frame], frame, meeting) for frame in range(meeting.first, meeting.last + 1)]
@@ -157,7 +157,7 @@ def _free(tracking: Tracking, rays: Rays, frame: int, meeting: Encounter) -> Ray
     return rays.without((others[:, rays.camera] == rays.candidate).any(axis=0))
 
 
-class Trial:
+class Continuation:
     """One hypothesis about an encounter: two people who come, and go on as themselves or as one another."""
 
     def __init__(self, tracking: Tracking, meeting: Encounter, *, swap: bool):
@@ -173,25 +173,25 @@ class Trial:
         self.informations = np.where(self.inside[:, None, None, None], 0.0, tracking.informations[rows])
         self.candidates = tracking.candidates[rows]
         measured = tracking.heads.measured[rows] & ~self.inside[:, None]
-        self.start = np.argmax(measured, axis=0)  # where each way begins
+        self.start = np.argmax(measured, axis=0)  # where each path begins
         self.begins = bool((measured & (self.frames < meeting.first)[:, None]).any(axis=0).all())
 
-    def ways(self, settings: TrackSettings) -> list:
+    def paths(self, settings: TrackSettings) -> list:
         """Filter and smoother of both."""
-        return run_ways(
+        return smooth_paths(
             [
-                Way(self.times[start:], self.points[start:, k], self.informations[start:, k])
+                HeadPath(self.times[start:], self.points[start:, k], self.informations[start:, k])
                 for k, start in enumerate(self.start)
             ],
             settings,
         )
 
-    def give_anew(self, seen: Seen, rays: Sequence[Rays], least: int, settings: TrackSettings) -> None:
-        """Measure the encounter's frames once more, by the candidates near where the two ways lead.
+    def give_anew(self, seen: SeenHeads, rays: Sequence[Rays], least: int, settings: TrackSettings) -> None:
+        """Measure the encounter's frames once more, by the candidates near where the two paths lead.
 
-        Only heads of so many views count: the surest first, as long as the ways are hardly known.
+        Only heads of so many views count: the surest first, as long as the paths are hardly known.
         """
-        expected = [self._without_own(k, way[1]) for k, way in enumerate(self.ways(settings))]
+        expected = [self._without_own(k, path[1]) for k, path in enumerate(self.paths(settings))]
         points, squares = (np.stack(part, axis=1) for part in zip(*expected))  # (W, 2, 3), (W, 2, 3, 3)
         candidates = np.full((len(rays), 2, len(seen.rig)), -1)
         for row, free in enumerate(rays):
@@ -199,7 +199,7 @@ class Trial:
             known = found.tracks >= 0
             candidates[row, found.tracks[known]] = found.candidates[known]
         candidates[(candidates >= 0).sum(axis=-1) < least] = -1
-        measured = _measured(seen, self.frames[self.inside], candidates, points, squares, settings)
+        measured = _measure(seen, self.frames[self.inside], candidates, points, squares, settings)
         candidates[~measured[2]] = -1
         self.candidates[self.inside] = candidates
         self.points[self.inside], self.informations[self.inside] = measured[:2]
@@ -217,13 +217,13 @@ class Trial:
     def evidence(self, rays: Sequence[Rays], settings: TrackSettings) -> float:
         """Twice the log likelihood of the rays, but for what both hypotheses share."""
         total = 0.0
-        for k, (filtered, _) in enumerate(self.ways(settings)):
+        for k, (filtered, _) in enumerate(self.paths(settings)):
             total -= self._growth(k)
             spread = filtered.predicted.covariance[1:, :3, :3] @ self.informations[self.start[k] + 1 :, k]
             total -= float(filtered.distance2[1:].sum() + np.linalg.slogdet(np.eye(3) + spread)[1].sum())
             for row, free in zip(np.flatnonzero(self.inside), rays):
                 members = self.candidates[row, k][free.camera] == free.candidate
-                total += float(explained(free, self.points[row, k][None], members[None], settings)[0])
+                total += float(explained_share(free, self.points[row, k][None], members[None], settings)[0])
         return total
 
     def _growth(self, k: int) -> float:
@@ -257,8 +257,8 @@ class Trial:
         tracking.heads.status[place] = status_of((candidates >= 0).sum(axis=-1))
 
 
-def _measured(
-    seen: Seen,
+def _measure(
+    seen: SeenHeads,
     frames: Int[np.ndarray, " W"],
     candidates: Int[np.ndarray, "W 2 C"],
     points: Float[np.ndarray, "W 2 3"],

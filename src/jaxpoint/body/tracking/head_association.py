@@ -4,7 +4,7 @@ Every pair of rays and every track's prediction is a hypothesis. It gathers the 
 gate, is fitted to these (and to the prediction, where it belongs to a track), and gathers anew. Its score is what it
 explains beyond chance; the best one takes its candidates and its track, and the others do without them. Where two
 people are in view, rays to different heads may meet as well ("ghosts"): a place that two views alone support is
-believed only where it continues a track, or where neither view has another explanation.
+accepted only where it continues a track, or where neither view has another explanation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from jaxpoint.body.tracking.rays import MIN_DEPTH, Rays
 from jaxpoint.config.track import TrackSettings
 
-MAX_SIGMA = 0.25  # m; a place known no better, from rays nearly parallel, is none
+MAX_SIGMA = 0.25  # m; a place known no better, from rays nearly parallel, is not used
 _START_RANGE = 3.0  # m, before the distances are known
 _ROUNDS = 2  # of fitting and gathering
 
@@ -110,7 +110,7 @@ def near_prediction(rays: Rays, predictions: Predictions, settings: TrackSetting
 
 
 def _best(hypotheses: Hypotheses, rays: Rays) -> Hypotheses | None:
-    """The hypothesis to believe next, alone; none where all that is left are new heads of two views with rivals.
+    """The hypothesis to accept next, alone; none where all that is left are new heads of two views with rivals.
 
     A new head has a ray that is not doubtful; what needs more doubtful rays than it does is no rival.
     """
@@ -147,14 +147,14 @@ def _hypotheses(
     known = np.linalg.slogdet(covariances)[1] - np.linalg.slogdet(prior.covariances)[1]
     gap = points - prior.points
     misfit = np.einsum("hi,hi->h", gap, np.linalg.solve(prior.covariances, gap[..., None])[..., 0])
-    score = explained(rays, points, members, settings) - misfit + known
+    score = explained_share(rays, points, members, settings) - misfit + known
     continued = Hypotheses(points, covariances, members, tracks, score).select(score > 0)
     both = (np.concatenate([getattr(part, name) for part in (new, continued)]) for name in new.__dataclass_fields__)
     return _usable(Hypotheses(*both), rays, gate, bounds)
 
 
 def _new_heads(rays: Rays, settings: TrackSettings, gate: float, bounds: Float[np.ndarray, "2 3"]) -> Hypotheses:
-    """Places that rays of two views or more support, whoever it is."""
+    """Places that rays of two views or more support, of any person."""
     points, covariances = _pairs(rays, gate, bounds)
     members = _nearest(rays, _deviation(rays, points, covariances), gate)
     for _ in range(_ROUNDS):
@@ -163,7 +163,7 @@ def _new_heads(rays: Rays, settings: TrackSettings, gate: float, bounds: Float[n
     members = _several(members)
     points, covariances = _fit(rays, members)
     known = np.linalg.slogdet(covariances)[1] + 3 * np.log(2 * np.pi) + 2 * np.log(settings.new_heads_m3)
-    score = explained(rays, points, members, settings) + known
+    score = explained_share(rays, points, members, settings) + known
     return _usable(Hypotheses(points, covariances, members, np.full(len(points), -1), score), rays, gate, bounds)
 
 
@@ -198,7 +198,7 @@ def _usable(hypotheses: Hypotheses, rays: Rays, gate: float, bounds: Float[np.nd
     )
 
 
-def explained(
+def explained_share(
     rays: Rays, points: Float[np.ndarray, "H 3"], members: Bool[np.ndarray, "H M"], settings: TrackSettings
 ) -> Float[np.ndarray, " H"]:
     """Twice the log likelihood of the rays over that of as many seen by chance."""

@@ -1,10 +1,10 @@
-"""Who is who: tracks are born, get an id, wait while nobody sees them, and end.
+"""Identities of tracks: they are born, get an id, wait while nobody sees them, and end.
 
 A head that continues no track begins one. It gets an id once it was measured in 3 of its first 5 frames (by three views
 or more where somebody else is within a metre, since rays to two people cross between them): the id of a track lost
 before it began, if both can be the same way of one person (chi-square of position and velocity), else a new one. A lost
-track waits for 2 s. So whoever comes out from behind something within that time, about where he was going, keeps his
-id; whoever comes back later is a new person: geometry alone cannot tell who it is.
+track waits for 2 s. So a person who comes out from behind something within that time, about where expected, keeps the
+id; one who comes back later is a new person: geometry alone cannot identify anybody.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Track:
         return time - self.measured_at > settings.occlusion_s or (self.person == 0 and misses > tried - wanted)
 
 
-def named(tracks: list[Track], people: int, settings: TrackSettings) -> tuple[list[Track], int]:
+def name_tracks(tracks: list[Track], people: int, settings: TrackSettings) -> tuple[list[Track], int]:
     """The tracks, an id given to those that have earned one, and how many ids have been given in all.
 
     A track that is confirmed takes the id of one that was lost before it began, and ends that, where both can be the

@@ -17,7 +17,7 @@ from jaxpoint.triangulation import Flag, triangulate
 _STEPS = 3  # of Gauss-Newton; the start is near
 
 
-class Measured(NamedTuple):
+class MeasuredHeads(NamedTuple):
     """Heads of N people in one frame, and their tracks after it."""
 
     points: Float[Array, "N 3"]  # m
@@ -37,7 +37,7 @@ def measure(
     sigma_px: Float[Array, "N C"],
     speed: Float[Array, ""],
     gates: Float[Array, "2"],
-) -> Measured:
+) -> MeasuredHeads:
     """Heads triangulated from their views, each view with the weight of its own standard deviation (px).
 
     A new track is its measurement; of others the prediction is the start of the search, and all that is known along
@@ -77,7 +77,7 @@ def measure(
         information = jnp.where(accepted, information, 0.0)
         first = begin(point, jnp.where(new & accepted, information, eye), speed)
         after = jax.tree.map(lambda a, b: jnp.where(new, a, b), first, update(state, point, information))
-        return Measured(point, information, far, accepted, after)
+        return MeasuredHeads(point, information, far, accepted, after)
 
     return jax.vmap(one)(predicted, is_new, start.points, several, pixels, weights, possible)
 

@@ -17,7 +17,7 @@ from jaxpoint.config.track import TrackSettings
 _LEAST = 64  # frames that a compiled program is made for at least
 
 
-class Way(NamedTuple):
+class HeadPath(NamedTuple):
     """What was measured of one person in L frames; the first must have two views."""
 
     times: Float[np.ndarray, " L"]  # s
@@ -25,7 +25,7 @@ class Way(NamedTuple):
     informations: Float[np.ndarray, "L 3 3"]  # 1/m^2
 
 
-def gathered(
+def gather_tracks(
     frames: Sequence[FrameHeads],
     cameras: tuple[str, ...],
     frame_ids: Int[np.ndarray, " F"],
@@ -80,12 +80,12 @@ def smooth(tracking: Tracking, settings: TrackSettings) -> None:
     tracking.candidates[heads.status == Status.ABSENT] = -1
     there = [np.flatnonzero(heads.present[:, person]) for person in range(len(heads.people))]
     known = [person for person, frames in enumerate(there) if len(frames)]
-    ways = [
-        Way(heads.times[frames], tracking.points[frames, person], tracking.informations[frames, person])
+    paths = [
+        HeadPath(heads.times[frames], tracking.points[frames, person], tracking.informations[frames, person])
         for person, frames in enumerate(there)
         if len(frames)
     ]
-    for person, (filtered, states) in zip(known, run_ways(ways, settings)):
+    for person, (filtered, states) in zip(known, smooth_paths(paths, settings)):
         frames = there[person]
         heads.positions[frames, person] = states.mean[:, :3]
         tracking.velocities[frames, person] = states.mean[:, 3:]
@@ -94,24 +94,24 @@ def smooth(tracking: Tracking, settings: TrackSettings) -> None:
         heads.sigma[frames, person] = np.sqrt(np.linalg.eigvalsh(states.covariance[:, :3, :3])[:, -1])
 
 
-def run_ways(ways: Sequence[Way], settings: TrackSettings) -> list[tuple[Filtered, State]]:
+def smooth_paths(paths: Sequence[HeadPath], settings: TrackSettings) -> list[tuple[Filtered, State]]:
     """Filter and smoother of several people, as numpy arrays; padded, so that few programs are compiled."""
-    if not ways:
+    if not paths:
         return []
-    size = max(_LEAST, 1 << max(len(way.times) - 1 for way in ways).bit_length())
-    rows = [np.minimum(np.arange(size), len(way.times) - 1) for way in ways]
-    filling = [np.arange(size) >= len(way.times) for way in ways]
-    count = 1 << (len(ways) - 1).bit_length()
-    order = [min(k, len(ways) - 1) for k in range(count)]
+    size = max(_LEAST, 1 << max(len(path.times) - 1 for path in paths).bit_length())
+    rows = [np.minimum(np.arange(size), len(path.times) - 1) for path in paths]
+    filling = [np.arange(size) >= len(path.times) for path in paths]
+    count = 1 << (len(paths) - 1).bit_length()
+    order = [min(k, len(paths) - 1) for k in range(count)]
     found = _run(
-        np.stack([ways[k].times[rows[k]] for k in order]),
-        np.stack([ways[k].points[rows[k]] for k in order]),
-        np.stack([np.where(filling[k][:, None, None], 0.0, ways[k].informations[rows[k]]) for k in order]),
+        np.stack([paths[k].times[rows[k]] for k in order]),
+        np.stack([paths[k].points[rows[k]] for k in order]),
+        np.stack([np.where(filling[k][:, None, None], 0.0, paths[k].informations[rows[k]]) for k in order]),
         np.float64(settings.acceleration_m_s2),
         np.float64(settings.speed_m_s),
     )
     found = jax.tree.map(np.asarray, found)
-    return [jax.tree.map(lambda leaf: leaf[k, : len(way.times)], found) for k, way in enumerate(ways)]  # noqa: B023
+    return [jax.tree.map(lambda leaf: leaf[k, : len(path.times)], found) for k, path in enumerate(paths)]  # noqa: B023
 
 
 @jit

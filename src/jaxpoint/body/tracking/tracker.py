@@ -9,14 +9,14 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int, Shaped
 
-from jaxpoint.body.tracking.encounters import Seen, rejoin, resolve
+from jaxpoint.body.tracking.encounters import SeenHeads, rejoin, resolve
 from jaxpoint.body.tracking.head_association import Predictions, associate, near_prediction, quantile
 from jaxpoint.body.tracking.head_tracks import FrameHeads, Status, Tracking, status_of
-from jaxpoint.body.tracking.identity import Track, beside_others, named
+from jaxpoint.body.tracking.identity import Track, beside_others, name_tracks
 from jaxpoint.body.tracking.kalman import State
 from jaxpoint.body.tracking.measurement import measure, predict_all
 from jaxpoint.body.tracking.rays import Rays, rays_of_frames
-from jaxpoint.body.tracking.smoothing import gathered, smooth
+from jaxpoint.body.tracking.smoothing import gather_tracks, smooth
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import InsufficientDataError
@@ -102,7 +102,7 @@ def track_heads(
     state, frames = TrackerState(), []
     with jax.enable_x64(True):
         bounds = _bounds(settings, room)
-        seen = Seen(rig, rays_of_frames(rig, pixels, valid, sigma, doubtful), pixels, sigma, bounds)
+        seen = SeenHeads(rig, rays_of_frames(rig, pixels, valid, sigma, doubtful), pixels, sigma, bounds)
         for frame, rays in enumerate(seen.rays):
             own = pixels[frame], sigma[frame]
             state, heads = _step(state, rig, rays, own, float(times[frame]), settings, bounds)
@@ -110,7 +110,7 @@ def track_heads(
             if progress:
                 progress((frame + 1) / len(pixels))
         ids = np.arange(len(pixels)) if frame_ids is None else frame_ids
-        tracking = gathered(frames, rig.names, ids, times)
+        tracking = gather_tracks(frames, rig.names, ids, times)
         smooth(tracking, settings)
         rejoin(tracking, settings)
         smooth(tracking, settings)
@@ -129,7 +129,7 @@ def _step(
     bounds: Float[np.ndarray, "2 3"],
 ) -> tuple[TrackerState, FrameHeads]:
     tracks = [track for track in state.tracks if not track.outlived(time, settings)]
-    tracks = _predicted(tracks, 0.0 if state.time is None else time - state.time, settings)
+    tracks = _predict(tracks, 0.0 if state.time is None else time - state.time, settings)
     expected = Predictions(
         np.array([track.mean[:3] for track in tracks]).reshape(-1, 3),
         np.array([track.covariance[:3, :3] for track in tracks]).reshape(-1, 3, 3),
@@ -141,7 +141,7 @@ def _step(
     candidates = np.concatenate([candidates, born])
     is_new = np.arange(len(candidates)) >= len(tracks)
     tracks += [Track.new(state.keys + i, time) for i in range(len(born))]
-    points, informations, distances2, accepted, states = _measured(rig, tracks, candidates, seen, is_new, settings)
+    points, informations, distances2, accepted, states = _measure(rig, tracks, candidates, seen, is_new, settings)
     candidates[~accepted] = -1
     views = (candidates >= 0).sum(axis=1)
     status = status_of(views)
@@ -152,13 +152,13 @@ def _step(
     beside = beside_others(mean[:, :3], np.array([track.person > 0 for track in tracks], bool) & (views > 0))
     after = [track.after(time, int(views[i]), bool(beside[i]), mean[i], square[i]) for i, track in enumerate(tracks)]
     heads = FrameHeads(tuple(after), status, candidates, points, informations, distances2).select(accepted | ~is_new)
-    tracks, people = named(list(heads.tracks), state.people, settings)
+    tracks, people = name_tracks(list(heads.tracks), state.people, settings)
     alive = {track.key for track in tracks}
     heads = replace(heads.select(np.array([track.key in alive for track in heads.tracks], bool)), tracks=tuple(tracks))
     return TrackerState(time, tuple(tracks), state.keys + len(born), people), heads
 
 
-def _predicted(tracks: list[Track], seconds: float, settings: TrackSettings) -> list[Track]:
+def _predict(tracks: list[Track], seconds: float, settings: TrackSettings) -> list[Track]:
     """The tracks where they are expected so many seconds later."""
     if not tracks:
         return []
@@ -167,7 +167,7 @@ def _predicted(tracks: list[Track], seconds: float, settings: TrackSettings) -> 
     return [replace(track, mean=mean[i], covariance=square[i]) for i, track in enumerate(tracks)]
 
 
-def _measured(
+def _measure(
     rig: CameraRig,
     tracks: list[Track],
     candidates: Int[np.ndarray, "T C"],
@@ -178,8 +178,8 @@ def _measured(
     """The fields of `Measured`: the heads triangulated from their candidates, and their tracks with that."""
     states = _states(tracks)
     size = len(states.mean)
-    pixels, sigma = (_padded(part[np.arange(len(rig)), candidates], size) for part in seen)
-    used, new = _padded(candidates >= 0, size), _padded(is_new, size)
+    pixels, sigma = (_pad(part[np.arange(len(rig)), candidates], size) for part in seen)
+    used, new = _pad(candidates >= 0, size), _pad(is_new, size)
     gates = np.array([quantile(settings.gate, 2), quantile(settings.gate, 3)])
     found = measure(rig, states, new, pixels, used, sigma, np.float64(settings.speed_m_s), gates)
     return tuple(jax.tree.map(lambda leaf: np.asarray(leaf)[: len(tracks)], found))
@@ -194,7 +194,7 @@ def _states(tracks: list[Track]) -> State:
     return State(mean, square)
 
 
-def _padded(values: Shaped[np.ndarray, "T ..."], size: int) -> Shaped[np.ndarray, "size ..."]:
+def _pad(values: Shaped[np.ndarray, "T ..."], size: int) -> Shaped[np.ndarray, "size ..."]:
     """With zeros at the end."""
     return np.pad(values, ((0, size - len(values)), *[(0, 0)] * (values.ndim - 1)))
 

@@ -76,14 +76,14 @@ def find_blob(
         reason = Reason.SEVERAL if winner is None else Reason.FOUND
         x, y = winner or (x, y)
     else:
-        reason = _judge_mask(mask, settings)
+        reason = _classify_mask(mask, settings)
     rows, columns = difference.shape
     if reason == Reason.FOUND and (x in (0, columns - 1) or y in (0, rows - 1)):
         reason = Reason.AT_BORDER
     return Blob(x, y, float(difference[y, x]), reason)
 
 
-def _judge_mask(mask: Bool[np.ndarray, "H W"], settings: LedSettings) -> Reason:
+def _classify_mask(mask: Bool[np.ndarray, "H W"], settings: LedSettings) -> Reason:
     """The thesis's tests (c) and (d)."""
     left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
     box = mask[top : top + height, left : left + width].astype(np.uint8)

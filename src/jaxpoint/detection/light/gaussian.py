@@ -35,7 +35,7 @@ def fit_gaussians(
     Args:
         patches: grey levels, S odd, the light near the middle.
         usable: pixels that count; leave out saturated ones and those outside the image.
-        noise: smallest standard deviation of a grey level that is believed; the residuals may show a larger one.
+        noise: smallest standard deviation of a grey level that is assumed; the residuals may show a larger one.
         radius: a known standard deviation of round spots, px, that is then not fitted.
 
     The covariance of the centre is the inverse normal matrix times the larger of the residual variance and `noise`
@@ -51,7 +51,7 @@ def fit_gaussians(
     free = np.ones(7)
     if radius is not None:
         state[:, [4, 6]], free[4:] = -np.log(radius), 0.0
-    state, normal, cost, settled = _minimise(state, free, values, weight, x, y)
+    state, normal, cost, converged = _minimise(state, free, values, weight, x, y)
 
     count = weight.sum(axis=1)
     variance = np.maximum(cost / np.maximum(count - free.sum(), 1), np.square(noise))
@@ -66,7 +66,7 @@ def fit_gaussians(
         radii=radii,
         amplitude=amplitude,
         significance=amplitude / np.sqrt(inverse[:, 2, 2]),
-        converged=settled & (count >= 8) & (amplitude > 0) & (np.abs(state[:, :2]) < half).all(axis=1),
+        converged=converged & (count >= 8) & (amplitude > 0) & (np.abs(state[:, :2]) < half).all(axis=1),
     )
 
 
@@ -111,7 +111,7 @@ def _minimise(
     """
     count = len(state)
     damping = np.full(count, 1e-2)
-    settled = np.zeros(count, dtype=bool)
+    converged = np.zeros(count, dtype=bool)
     predicted, jacobian = _model(state, x, y)
     residual = weight * (predicted - values)
     cost = np.square(residual).sum(axis=1)
@@ -125,22 +125,22 @@ def _minimise(
         step = -np.linalg.solve(damped, gradient[..., None])[..., 0]
         step[:, [0, 1]] = np.clip(step[:, [0, 1]], -1.0, 1.0)
         step[:, [4, 6]] = np.clip(step[:, [4, 6]], -0.5, 0.5)
-        trial = np.where(settled[:, None], state, state + step)
+        trial = np.where(converged[:, None], state, state + step)
         trial[:, [4, 6]] = np.clip(trial[:, [4, 6]], -4.0, 3.0)
         new_predicted, new_jacobian = _model(trial, x, y)
         new_residual = weight * (new_predicted - values)
         new_cost = np.square(new_residual).sum(axis=1)
-        better = (new_cost <= cost) & ~settled
+        better = (new_cost <= cost) & ~converged
         damping = np.where(better, damping * 0.1, damping * 4.0)
-        settled |= (np.abs(step[:, [0, 1, 4, 6]]).max(axis=1) < STEP_TOLERANCE) & (better | (damping > 1e6))
+        converged |= (np.abs(step[:, [0, 1, 4, 6]]).max(axis=1) < STEP_TOLERANCE) & (better | (damping > 1e6))
         state = np.where(better[:, None], trial, state)
         jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
         residual = np.where(better[:, None], new_residual, residual)
         cost = np.where(better, new_cost, cost)
-        if settled.all():
+        if converged.all():
             break
     weighted = jacobian * weight[..., None] * free
-    return state, weighted.transpose(0, 2, 1) @ weighted, cost, settled
+    return state, weighted.transpose(0, 2, 1) @ weighted, cost, converged
 
 
 def correlate_template(patch: Float[np.ndarray, "S S"], sigma: float, scale: int = 5) -> Float[np.ndarray, "2"]:

@@ -67,12 +67,12 @@ def cut_patch(
 
 
 def fit_positions(spots: Spots, settings: LedSettings) -> Positions:
-    """Default: a Gaussian fitted to every spot, and only spots like the light of the recording are believed.
+    """Default: a Gaussian fitted to every spot, and only spots like the light of the recording are accepted.
 
     UNLIKE are fits that fail, are wider than the light, sharper than optics allow, or much fainter than the other
     lights of this camera: noise, a moving person, a reflection while the light is hidden. BLURRED are elongated ones.
 
-    The free fit judges the shape. The position comes from a second one whose width is the median of the recording: it
+    The free fit checks the shape. The position comes from a second one whose width is the median of the recording: it
     follows compression and partial cover less (mean reprojection 0.177 against 0.188 px on the arctic recording).
     """
     free = _fit(spots)

@@ -1,4 +1,4 @@
-"""A shirt of the colour of skin: told from bare arms by the person's own chest and face.
+"""A shirt of the colour of skin: distinguished from bare arms by the person's own chest and face.
 
 A model of skin that holds for everybody takes beige cloth for skin. On one person both colours are seen: the chest
 shows the shirt's, the face the skin's. Where the two differ, pixels of the shirt's colour are no skin.
@@ -16,8 +16,8 @@ CHEST = (1.0, 2.6, 0.5)  # of the head's height: below its middle from, to; and 
 FACE = (0.33, 0.36, 0.18)  # of the head's height: half as wide, half as high, below its middle
 MOSTLY = 0.5  # of the chest that must look like skin before it is doubted
 MIN_PIXELS = 60
-MOST_PIXELS = 1500  # of which a colour is learnt: more say nothing new
-APART = 2.0  # standard deviations between face and chest: less is a bare chest, or cloth that nobody can tell
+MOST_PIXELS = 1500  # of which a colour is learnt: more add nothing
+APART = 2.0  # standard deviations between face and chest: less is a bare chest, or cloth that looks like skin
 KEPT = 0.7  # of the face that must not have the shirt's colour
 ALIKE = 3.0  # standard deviations from the chest's colour within which a pixel is the shirt
 _LOG = np.log(np.arange(256) + 4.0)  # of a channel; near black its noise is not blown up
@@ -27,7 +27,7 @@ _FLOOR = 2.0  # variance that noise leaves, in the units of `_features`
 def shirt_like_skin(
     image: Image, person: Bool[np.ndarray, "H W"], skin: Bool[np.ndarray, "H W"], head: tuple[float, float, float]
 ) -> Bool[np.ndarray, "H W"] | None:
-    """The pixels of a shirt that was taken for skin; None where the chest is not, or cannot be told from the face.
+    """The pixels of a shirt that was taken for skin; None where the chest is not, or looks like the face.
 
     Args:
         image: around the person.
@@ -65,7 +65,7 @@ def _part(shape: tuple[int, ...], low: tuple[float, float], high: tuple[float, f
 
 
 def _features(pixels: UInt8[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Ratios of the channels, which the light's strength leaves as they are, and that strength with less say."""
+    """Ratios of the channels, which the light's strength leaves as they are, and that strength with less weight."""
     blue, green, red = (_LOG[pixels[:, i]] for i in range(3))
     strength = pixels @ np.array([0.114, 0.587, 0.299]) + 8.0
     return np.stack([60 * (red - green), 60 * (green - blue), 20 * np.log(strength)], axis=1)

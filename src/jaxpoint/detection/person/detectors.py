@@ -100,10 +100,10 @@ def detector_of(name: str, landmarks: Path | None = None) -> PeopleDetector:
     if not separator:
         known = ", ".join((AUTO, *sorted(_DETECTORS)))
         raise UsageError(f"There is no detector '{name}'; choose among {known}, or name yours as module:function.")
-    return _imported(module, function)
+    return _import_detector(module, function)
 
 
-def _imported(module: str, function: str) -> PeopleDetector:
+def _import_detector(module: str, function: str) -> PeopleDetector:
     if "" not in sys.path:  # the folder in which the command runs, as `python -m` has it
         sys.path.insert(0, "")
     try:

@@ -66,7 +66,7 @@ def forearm_endpoints(mask: Mask, silhouette_centroid: Float[np.ndarray, "2"], s
     """Thesis 7.2.2, forearm: the tip as for the finger, the base the region's centroid.
 
     The thesis takes the two farthest of left-top, right-top and centroid, and calls one of them the centroid; where
-    left-top and right-top are the two farthest, this is the only reading that works (SPEC 6).
+    left-top and right-top are the two farthest, this is the only reading that works (thesis 7.2.2).
 
     Args:
         mask: the region.

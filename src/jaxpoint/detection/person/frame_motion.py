@@ -14,7 +14,7 @@ from jaxpoint.errors import InsufficientDataError
 
 
 @dataclass(frozen=True)
-class Motion:
+class FrameMotion:
     """What changed between two successive images of a camera."""
 
     edges: int  # edge pixels of the difference; the thesis's "histogram" of a Canny image is this count
@@ -22,7 +22,7 @@ class Motion:
     is_light_switch: bool  # many changed, nearly all of them in the same direction
 
 
-def motion_between(previous: Image, image: Image, settings: MotionSettings) -> Motion:
+def motion_between(previous: Image, image: Image, settings: MotionSettings) -> FrameMotion:
     """Edges in the sum of the absolute differences of Y, Cr and Cb.
 
     Raises:
@@ -40,14 +40,14 @@ def motion_image(image: Image, settings: MotionSettings) -> UInt8[np.ndarray, "h
 
 def motion_of(
     before: UInt8[np.ndarray, "h w 3"], after: UInt8[np.ndarray, "h w 3"], settings: MotionSettings
-) -> Motion:
+) -> FrameMotion:
     """As `motion_between`, of what `motion_image` made of both: successive pairs share an image."""
     y, cr, cb = cv2.split(cv2.absdiff(before, after))
     total = cv2.add(cv2.add(y, cr), cb)  # 0..765 saturates at 255, far above both thresholds of the edges
     edges = cv2.countNonZero(cv2.Canny(total, settings.canny_low, settings.canny_high))
     changed = cv2.countNonZero(cv2.threshold(y, settings.switch_levels, 255, cv2.THRESH_BINARY)[1]) / y.size
     is_switch = changed > settings.switch_fraction and _of_one_sign(before, after, settings)
-    return Motion(edges, changed, is_switch)
+    return FrameMotion(edges, changed, is_switch)
 
 
 def learn_threshold(counts: Int[np.ndarray, " N"], settings: MotionSettings) -> float:

@@ -80,7 +80,7 @@ def find_head(silhouette: Silhouette, focal_px: float, settings: HeadSettings) -
         if score >= settings.min_score:
             x, y, size = _fit_outline(silhouette, x, y, size, settings.aspect)
     head = Head(x + silhouette.box[0], y + silhouette.box[1], score, size, HeadReason.FOUND)
-    return replace(head, reason=_judged(head, silhouette, settings))
+    return replace(head, reason=_classify(head, silhouette, settings))
 
 
 def _likely(
@@ -99,7 +99,7 @@ def _missing(silhouette: Silhouette, reason: HeadReason) -> Head:
     return Head(float(x), float(y), 0.0, 0.0, reason)
 
 
-def _judged(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
+def _classify(head: Head, silhouette: Silhouette, settings: HeadSettings) -> HeadReason:
     if head.score < settings.min_score:
         return HeadReason.UNLIKE
     half = settings.aspect * head.height_px / 2

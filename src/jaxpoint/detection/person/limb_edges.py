@@ -31,7 +31,7 @@ def find_edges(
     half = CORRIDOR_M * pixels_a_metre
     offsets = np.linspace(-half, half, 2 * int(np.ceil(half)) + 1)
     places = axis[:, None] + offsets[None, :, None] * across - np.array(crop.corner)
-    low, high = _runs(_sampled(crop.labels, places), offsets)
+    low, high = _runs(_sample(crop.labels, places), offsets)
     return LimbEdges(axis, across, low, high, half, pixels_a_metre)
 
 
@@ -87,7 +87,7 @@ def _end_of(offsets: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"] | None:
     return offsets[reach > reach.max() - 1.5].mean(axis=0) + 0.5 * direction
 
 
-def _sampled(labels: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "S n 2"]) -> Float[np.ndarray, "2 S n"]:
+def _sample(labels: UInt8[np.ndarray, "h w"], places: Float[np.ndarray, "S n 2"]) -> Float[np.ndarray, "2 S n"]:
     """How much of skin, and of the person, lies at places between pixels, 0 to 1; nothing outside."""
     low = np.maximum(np.floor(places.min(axis=(0, 1))).astype(int) - 1, 0)
     high = np.ceil(places.max(axis=(0, 1))).astype(int) + 2

@@ -92,7 +92,7 @@ def find_markers(image: Image, silhouette: Silhouette, model: MarkerModel, setti
     """The largest regions of the marker's colour in a silhouette or close to it.
 
     The thesis also asks for a shape and takes the farthest region (`thesis_finger`); a marker that points at the camera
-    or at the floor has another one. Which region is the marker is judged over all views.
+    or at the floor has another one. All views together decide which region is the marker.
     """
     if is_grey(image):
         return Markers((), MarkerReason.GREY)
@@ -116,7 +116,7 @@ def marker_ends(region: Region, silhouette_centroid: Float[np.ndarray, "2"]) -> 
     """The ends of a marker on its principal axis, to a fraction of a pixel; the tip is the far end from the person.
 
     A marker holds a few dozen pixels, too few for slices: its length is that of the bar with the same second moments,
-    in which every pixel has a say and not the outermost alone.
+    which every pixel determines and not the outermost alone.
     """
     half = BAR * region.major / 2 * np.array([np.cos(region.orientation), -np.sin(region.orientation)])
     near, far = sorted(

@@ -14,8 +14,8 @@ from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.detection.colour import Image, is_grey
 from jaxpoint.detection.person.marker_regions import MarkerModel, MarkerReason, find_markers, marker_ends, train_marker
 from jaxpoint.detection.person.session_watch import (
+    CameraFrames,
     CameraJob,
-    Frames,
     Progress,
     camera_job,
     content_key,
@@ -134,7 +134,7 @@ def watch_camera(job: MarkerJob, advance: Advance) -> MarkerViews:
     source = open_frames(own.video)
     background, threshold, notes = learn_room(own, source)
     watcher = PersonWatch(background, threshold, own.focal_px, own.settings)
-    frames = Frames(own, source)
+    frames = CameraFrames(own, source)
     markers = look_for_marker(frames.read(), len(own.frame_index), watcher, job.model, job.settings, advance)
     markers = replace(markers, notes=(*notes, *frames.notes, *left_out_notes(own.name, markers.reasons)))
     if own.kept is not None:

@@ -92,7 +92,7 @@ def side_by_side(
     """What `work` finds in every camera, each in a process.
 
     Raises:
-        KeyboardInterrupt: Ctrl-C; it says where those that were done are kept.
+        KeyboardInterrupt: Ctrl-C; the message names the folder of those that were done.
     """
     finished: dict[int, Found] = {}
 
@@ -134,7 +134,7 @@ def watch_camera(job: CameraJob, advance: Advance) -> SilhouetteViews:
     source = open_frames(job.video)
     background, threshold, notes = learn_room(job, source)
     watcher = PersonWatch(background, threshold, job.focal_px, job.settings)
-    frames = Frames(job, source)
+    frames = CameraFrames(job, source)
     views = watch(frames.read(), len(job.frame_index), source.size, watcher, advance, notes)
     colour = (*left_out_notes(job.name, views.reasons), *_grey_notes(job.name, views))
     views = replace(views, notes=(*notes, *frames.notes, *colour))
@@ -145,7 +145,7 @@ def watch_camera(job: CameraJob, advance: Advance) -> SilhouetteViews:
 
 
 def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | None, float, list[str]]:
-    """Background and motion threshold, from the empty room's recording where there is one; and what to tell of it.
+    """Background and motion threshold, from the empty room's recording where there is one; and notes about it.
 
     Raises:
         FileFormatError: the empty room has images of another size.
@@ -188,7 +188,7 @@ def learn_room(job: CameraJob, source: FrameSource) -> tuple[RoomBackground | No
 
 
 def left_out_notes(name: str, reasons: Int[np.ndarray, " F"]) -> tuple[str, ...]:
-    """What to tell of a camera whose grey images cannot be held against its empty room; nothing where they can."""
+    """Notes on a camera whose grey images cannot be compared with its empty room; nothing where they can."""
     count = int((reasons == FrameReason.WITHOUT_COLOUR).sum())
     if not count:
         return ()
@@ -199,17 +199,17 @@ def left_out_notes(name: str, reasons: Int[np.ndarray, " F"]) -> tuple[str, ...]
 
 
 def _grey_notes(name: str, views: SilhouetteViews) -> tuple[str, ...]:
-    """What to tell of a camera in whose images people were looked for without colour."""
+    """Notes on a camera in whose images people were looked for without colour."""
     count = int((views.grey & (views.reasons != FrameReason.WITHOUT_COLOUR)).sum())
     if not count:
         return ()
     return (
-        f"Camera '{name}': {count} of {len(views.grey)} images have no colour, so that skin cannot be told and arms "
-        "are found by their outlines alone; a colour camera finds more of them.",
+        f"Camera '{name}': {count} of {len(views.grey)} images have no colour, so that skin cannot be recognised and "
+        "arms are found by their outlines alone; a colour camera finds more of them.",
     )
 
 
-class Frames:
+class CameraFrames:
     """The frames of one camera by moment; what cannot be decoded leaves moments without one, and a note."""
 
     def __init__(self, job: CameraJob, source: FrameSource):

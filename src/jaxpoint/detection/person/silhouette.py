@@ -25,9 +25,9 @@ WHOLE_IMAGES = 9  # from which the background at full size is taken
 GHOST_WIDTH = 320  # px, about the width of the images in which `never_clears` looks
 GHOST_IMAGES = 30  # that it looks at
 GHOST_REGION = 0.001  # of the image: smaller regions are noise
-GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges tell nothing
+GHOST_EDGE = 60.0  # grey levels, of a Sobel gradient: fainter edges are not used
 GHOST_RATIO = 1.5  # of the stronger edge to the weaker one
-MIN_OUTLINE = 200  # px: a shorter outline in all images together tells nothing
+MIN_OUTLINE = 200  # px: a shorter outline in all images together is not used
 SHADOW_PATCH = 5  # px, side of the squares in which a shadow is even
 
 
@@ -125,9 +125,9 @@ def _levels(threshold: Float32[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
 def never_clears(images: Sequence[Image], settings: BackgroundSettings) -> float:
     """Part (0..1) of the foreground's outlines that are edges of the background and not of the image.
 
-    The outline of a person is an edge of the image. Where the median has taken a person who hardly leaves for the room,
+    The outline of a person is an edge of the image. Where the median took a person who hardly leaves for the room,
     the foreground is what the person left, and its outline an edge of the median: beyond about a tenth the background
-    holds somebody. Of one who does not move at all nothing can be known.
+    holds somebody. A person who does not move at all cannot be noticed.
     """
     settings = replace(settings, width_px=GHOST_WIDTH, shadows=False, reach_px=0)
     background = learn_background(images, settings)
@@ -167,12 +167,12 @@ def foreground(image: Image, background: RoomBackground, settings: BackgroundSet
     if width:
         weak = cv2.compare(total[part], background.weak[part], cv2.CMP_GT)
         if settings.shadows:
-            weak = cv2.bitwise_and(weak, _unshaded(colour[part], background.colour[part], settings))
-        mask[part] = _grown(cv2.bitwise_and(sure[part], weak), weak, reach)
-    return _enlarged(mask, background.size)
+            weak = cv2.bitwise_and(weak, _without_shade(colour[part], background.colour[part], settings))
+        mask[part] = _grow(cv2.bitwise_and(sure[part], weak), weak, reach)
+    return _enlarge(mask, background.size)
 
 
-def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
+def _grow(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach: int) -> UInt8[np.ndarray, "h w"]:
     """What is sure, and what leads to it over weak pixels in `reach` steps: Canny's hysteresis, bounded."""
     square = np.ones((3, 3), np.uint8)
     for _ in range(reach):
@@ -180,7 +180,7 @@ def _grown(sure: UInt8[np.ndarray, "h w"], weak: UInt8[np.ndarray, "h w"], reach
     return sure
 
 
-def sharpened(
+def sharpen(
     mask: UInt8[np.ndarray, "h w"],
     image: Image,
     room: Image,
@@ -236,7 +236,7 @@ class AdaptiveBackground:
         """As `foreground`; the image also becomes a part of the background."""
         mask = self._model.apply(shrunk(image, shrink_of(image.shape[1], self._width_px)))
         mask = cv2.threshold(mask, 200, 255, cv2.THRESH_BINARY)[1]  # 127 is a shadow
-        return _enlarged(mask, (image.shape[1], image.shape[0]))
+        return _enlarge(mask, (image.shape[1], image.shape[0]))
 
 
 def silhouettes(mask: Mask, settings: SilhouetteSettings) -> list[Silhouette]:
@@ -251,18 +251,18 @@ def silhouettes(mask: Mask, settings: SilhouetteSettings) -> list[Silhouette]:
     margin = settings.thicken + settings.close_px
     x, y, width, height = cv2.boundingRect(bits)
     part = np.s_[max(y - margin, 0) : y + height + margin, max(x - margin, 0) : x + width + margin]
-    bits[part] = _mended(bits[part], settings)
+    bits[part] = _mend(bits[part], settings)
     labels, regions = label_regions(bits, min_area=max(1, int(settings.min_fraction * bits.size)))
     return [_silhouette(labels, region, shrink, size) for region in regions[: settings.people]]
 
 
-def _mended(bits: UInt8[np.ndarray, "h w"], settings: SilhouetteSettings) -> UInt8[np.ndarray, "h w"]:
+def _mend(bits: UInt8[np.ndarray, "h w"], settings: SilhouetteSettings) -> UInt8[np.ndarray, "h w"]:
     for _ in range(settings.thicken):
-        bits = thickened(bits)
-    return closed(bits, settings.close_px) if settings.close_px else bits
+        bits = thicken(bits)
+    return close_gaps(bits, settings.close_px) if settings.close_px else bits
 
 
-def thickened(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+def thicken(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     """Every region grown by a pixel, except where two regions would touch (thesis 6.2.2, hit-or-miss)."""
     grown = cv2.dilate(mask, np.ones((3, 3), np.uint8))
     count, labels = cv2.connectedComponents(mask, connectivity=8, ltype=cv2.CV_16U)
@@ -274,7 +274,7 @@ def thickened(mask: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
     return cv2.bitwise_and(grown, cv2.compare(highest, lowest, cv2.CMP_LE)) | mask
 
 
-def closed(mask: UInt8[np.ndarray, "h w"], side: int) -> UInt8[np.ndarray, "h w"]:
+def close_gaps(mask: UInt8[np.ndarray, "h w"], side: int) -> UInt8[np.ndarray, "h w"]:
     """Dilated, then eroded (thesis eq. 6.1 prints the symbol of opening); nothing comes in over the image's border."""
     return cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((side, side), np.uint8))
 
@@ -299,7 +299,7 @@ def _silhouette(labels: np.ndarray, region: Region, shrink: int, size: tuple[int
     return Silhouette(mask, whole.box, whole, size)
 
 
-def _enlarged(mask: UInt8[np.ndarray, "h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
+def _enlarge(mask: UInt8[np.ndarray, "h w"], size: tuple[int, int]) -> UInt8[np.ndarray, "H W"]:
     if mask.shape == size[::-1]:
         return mask
     shrink = round(size[0] / mask.shape[1])
@@ -328,7 +328,7 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
     return scaled(image, gain)
 
 
-def _unshaded(
+def _without_shade(
     colour: UInt8[np.ndarray, "h w 3"], room: UInt8[np.ndarray, "h w 3"], settings: BackgroundSettings
 ) -> UInt8[np.ndarray, "h w"]:
     """255 except where the image is the room, darker by a bounded and even factor and of its colour (Y, Cr, Cb).
@@ -359,7 +359,7 @@ def _outline(mask: UInt8[np.ndarray, "H W"], shape: tuple[int, ...]) -> Bool[np.
     """Border of the foreground's larger regions."""
     small = cv2.resize(mask, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST)
     square = np.ones((3, 3), np.uint8)
-    small = cv2.morphologyEx(closed(small, 3), cv2.MORPH_OPEN, square)
+    small = cv2.morphologyEx(close_gaps(small, 3), cv2.MORPH_OPEN, square)
     labels, regions = label_regions(small, min_area=max(1, int(GHOST_REGION * small.size)))
     kept = np.isin(labels, [region.label for region in regions]).astype(np.uint8)
     return cv2.morphologyEx(kept, cv2.MORPH_GRADIENT, square) > 0

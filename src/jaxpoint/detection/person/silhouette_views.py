@@ -87,11 +87,11 @@ def watch(
     for moment, image in frames:
         if image is not None:
             look = watcher.look(image)
-            kept += [(moment, _packed(sighting)) for sighting in look.sightings]
+            kept += [(moment, _pack(sighting)) for sighting in look.sightings]
             looks[moment] = replace(look, sightings=())
         if advance:
             advance(moment + 1, moments)
-    return _gathered(looks, kept, size, notes)
+    return _collect(looks, kept, size, notes)
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class _Kept:
     png: bytes
 
 
-def _packed(sighting: Sighting) -> _Kept:
+def _pack(sighting: Sighting) -> _Kept:
     silhouette, head, crop = sighting.silhouette, sighting.head, sighting.crop
     values = (
         silhouette.box, silhouette.region.area, silhouette.region.centroid, (head.x, head.y), head.score,
@@ -111,7 +111,7 @@ def _packed(sighting: Sighting) -> _Kept:
     return _Kept(values, PackedCrop.of(crop).png)
 
 
-def _gathered(
+def _collect(
     looks: Sequence[Look], kept: Sequence[tuple[int, _Kept]], size: tuple[int, int], notes: Sequence[str]
 ) -> SilhouetteViews:
     shapes = ((4,), (), (2,), (2,), (), (), (), (2,))

@@ -144,7 +144,7 @@ def _gaussian(pixels: UInt8[np.ndarray, "N 3"], what: str) -> ColourGaussian:
     if len(pixels) < MIN_SAMPLES:
         raise ValueError(f"{len(pixels)} pixels of {what} are too few; give at least {MIN_SAMPLES}.")
     if is_grey(pixels[:, None]):
-        raise ValueError(f"The pixels of {what} are grey; skin is told by its colour.")
+        raise ValueError(f"The pixels of {what} are grey; skin is recognised by its colour.")
     colours = cv2.cvtColor(pixels[None], cv2.COLOR_BGR2YCrCb)[0, :, 1:].astype(float)
     (a, b), (_, c) = (np.cov(colours.T) + VARIANCE_FLOOR * np.eye(2)).tolist()
     cr, cb = colours.mean(axis=0).tolist()

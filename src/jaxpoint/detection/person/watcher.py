@@ -18,9 +18,9 @@ from jaxpoint.detection.person.silhouette import (
     AdaptiveBackground,
     RoomBackground,
     Silhouette,
-    closed,
+    close_gaps,
     foreground,
-    sharpened,
+    sharpen,
     silhouettes,
 )
 from jaxpoint.detection.person.skin import SkinModel, skin_mask, skin_model, white_balance, white_gains
@@ -52,7 +52,7 @@ class Look:
 
     reason: FrameReason
     edges: int  # moving edge pixels
-    grey: bool  # the image has no colour, so that skin cannot be told
+    grey: bool  # the image has no colour, so that skin cannot be recognised
     sightings: tuple[Sighting, ...] = ()
 
 
@@ -85,7 +85,7 @@ class PersonWatch:
         self._settings = settings
         self._model = model or skin_model(settings.skin)
         self._previous: Image | None = None
-        self._before: UInt8[np.ndarray, "h w 3"] | None = None  # the same, as motion is told from it
+        self._before: UInt8[np.ndarray, "h w 3"] | None = None  # the same, prepared for the detection of motion
         self._moving = self._still = 0
         self._occupied = True  # until a first look has shown otherwise
 
@@ -108,16 +108,16 @@ class PersonWatch:
             self._count(edges)
         if not self._occupied:
             return Look(FrameReason.IDLE, edges, False)
-        return self._seen(image, edges)
+        return self._look_at_people(image, edges)
 
     def _count(self, edges: int) -> None:
-        """Hysteresis of motion; who stands still stays, as long as a silhouette does."""
+        """Hysteresis of motion; a person who stands still stays, as long as a silhouette does."""
         moving = edges > self._threshold
         self._moving, self._still = (self._moving + 1, 0) if moving else (0, self._still + 1)
         if self._moving >= self._settings.motion.frames_on:
             self._occupied = True
 
-    def _seen(self, image: Image, edges: int) -> Look:
+    def _look_at_people(self, image: Image, edges: int) -> Look:
         grey = is_grey(image)
         if grey and self._in_colour:
             return Look(FrameReason.WITHOUT_COLOUR, edges, grey)
@@ -158,8 +158,8 @@ def cut_crop(
         model: of skin; None where the image has no colour.
         room: the image without people, by which outlines are sharpened; None where it is not known.
         gap_px: gaps of this width are closed: a limb before something of its own colour has holes.
-        gains: of blue, green, red, that divide out the room's cast of colour before skin is told; None leaves it.
-        head: by whose face a shirt of the colour of skin is told from it; None takes the model's word.
+        gains: of blue, green, red, that divide out the room's cast of colour before skin is recognised; None leaves it.
+        head: by whose face a shirt of the colour of skin is recognised; None trusts the model alone.
     """
     x, y, width, height = silhouette.box
     reach = int(MARGIN * height)
@@ -168,10 +168,10 @@ def cut_crop(
     own = mask[top:bottom, left:right].copy()
     own[y - top : y - top + height, x - left : x - left + width] |= silhouette.mask.view(np.uint8) * np.uint8(255)
     if gap_px > 1:
-        own = closed(own, gap_px | 1)
+        own = close_gaps(own, gap_px | 1)
     part = image[top:bottom, left:right]
     if room is not None:
-        own = sharpened(own, part, room[top:bottom, left:right], SEAM_LEVELS, SEAM_PX)
+        own = sharpen(own, part, room[top:bottom, left:right], SEAM_LEVELS, SEAM_PX)
     x, y, width, height = cv2.boundingRect(own)  # it is never empty: the silhouette has an inside
     own, part = (one[y : y + height, x : x + width] for one in (own, part))
     labels = cv2.threshold(own, 0, int(Pixel.PERSON), cv2.THRESH_BINARY)[1]

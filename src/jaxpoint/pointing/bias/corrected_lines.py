@@ -14,15 +14,15 @@ from jaxpoint.compilation import jit
 from jaxpoint.geometry.angles import azimuth_elevation, turned
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.pointing_line import KINDS, LineKind, PointingLine, directions
 
 _MIRROR = np.array([1.0, -1.0, 1.0])
 
 
 @partial(jit, static_argnames="lines")
-def drawn(
-    lines: tuple[LineKind, ...], model: AbstractModel, joints: Joints, covariance: Float[AnyArray, "G 18 18"]
+def corrected_lines(
+    lines: tuple[LineKind, ...], model: AbstractBiasModel, joints: Joints, covariance: Float[AnyArray, "G 18 18"]
 ) -> PointingLine:
     """The first of the lines that a model of bias reads, from the tip, turned.
 
