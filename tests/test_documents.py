@@ -3,6 +3,8 @@
 import json
 import re
 import shlex
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +13,11 @@ import pytest
 from jaxpoint.camera.lenses import LENSES
 from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
+from jaxpoint.detection import PeopleRequest, detect_people, unregister_detector
 from jaxpoint.geometry.line import Ray
 from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.objects import parse_objects
+from jaxpoint.io.session import open_session
 from jaxpoint.io.tracks import save_tracks
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Thing
@@ -76,7 +80,7 @@ def test_the_readme_is_short():
 def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
-    run |= {("docs/extend.md", 0), ("docs/extend.md", 1)}
+    run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2)}
     imported = {("docs/guides/uncertainty.md", 0), ("docs/guides/clusters.md", 0)}  # by tests/test_public.py
     assert shown == run | imported
 
@@ -160,6 +164,23 @@ def test_the_shape_shown_is_met():
         assert not hits.valid[1]
     finally:
         unregister("post")
+
+
+def test_the_detector_shown_detects():
+    folder = Path(str(files("jaxpoint"))) / "data" / "session"
+    whole = open_session(folder)
+    session = replace(whole, names=whole.names[:2], sizes=whole.sizes[:2], frame_index=whole.frame_index[:, :2])
+    try:
+        exec(blocks("docs/extend.md", "python")[2], {})
+        views = detect_people(PeopleRequest(session), "mine")
+        for view, own in zip(views, session.frame_index.T, strict=True):
+            np.testing.assert_array_equal(view.moment, np.flatnonzero(own >= 0))
+        assert views[0].head_found.all()
+        joints = views[1].person(0).joints()
+        assert joints.seen.sum() == 3
+        np.testing.assert_array_equal(joints.pixels[joints.seen][0], [100.0, 50.0])
+    finally:
+        unregister_detector("mine")
 
 
 def test_the_calibration_shown_can_be_read(tmp_path):

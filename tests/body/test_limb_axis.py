@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.body.limb_axis import fit_axis
+from jaxpoint.body.limb_axis import fit_axis, refit_axis
 from jaxpoint.compilation import jit
 
 SPAN = np.array([0.19, 0.39])
@@ -103,3 +103,21 @@ def test_covariance_is_that_of_many_noisy_limbs():
     np.testing.assert_allclose(
         np.sqrt(np.trace(near)), noise * np.sqrt(np.trace(np.asarray(axes.near_covariance).mean(axis=0))), rtol=0.12
     )
+
+
+def test_a_fitted_axis_is_not_searched_for_again_and_has_the_same_derivatives():
+    slices = rays(1.0, np.random.default_rng(6))
+    seen = np.ones(slices.shape[:2], bool)
+    found = fit(slices, seen)
+    start = found.near + SPAN[0] * found.direction, found.direction
+
+    def ends(function, origins):
+        axis = function(origins, FOCAL, slices, seen, *start, SIGMA, SPAN)
+        return jnp.stack([axis.near, axis.far, axis.direction])
+
+    both = jit(lambda origins: jnp.stack([ends(fit_axis, origins), ends(refit_axis, origins)]))
+    searched, kept = both(jnp.asarray(ORIGINS))
+    np.testing.assert_allclose(kept, searched, atol=1e-6)
+    np.testing.assert_allclose(kept[0], found.near, atol=1e-6)
+    searched, kept = jit(jax.jacfwd(both))(jnp.asarray(ORIGINS))
+    np.testing.assert_allclose(kept, searched, atol=5e-3 * np.abs(searched).max())  # the search ends 3 um away

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence, FrameReason, HeadReason
-from jaxpoint.evidence.person_evidence import PLACE_OF, AbstractPersonEvidence, SeenJoints
+from jaxpoint.evidence.person_evidence import JOINTS, PLACE_OF, AbstractPersonEvidence, SeenJoints
 
 HEAD_SHARE = 0.13  # height of a head over that of a person
 LEAST_HEAD_PX = 10.0
@@ -26,6 +26,30 @@ class BodyLandmarks:
     pixels: Float[np.ndarray, "S J 2"]  # px
     seen: Bool[np.ndarray, "S J"]
     confidence: Float[np.ndarray, "S J"]
+
+    @staticmethod
+    def of(people: Iterable[tuple[int, int, Mapping[str, Sequence[float]]]]) -> BodyLandmarks:
+        """Landmarks of people in single images, in any order.
+
+        Args:
+            people: of each the place of its moment and of its camera in the session, and by the name of a joint x and y
+                (px) and, where it is known, the confidence.
+
+        Raises:
+            ValueError: a joint of another name.
+        """
+        found = sorted(people, key=lambda one: one[:2])
+        unknown = sorted({name for _, _, joints in found for name in joints} - set(JOINTS))
+        if unknown:
+            raise ValueError(f"There is no joint '{unknown[0]}'; name them as {', '.join(JOINTS)}.")
+        values = np.zeros((len(found), len(JOINTS), 3))
+        seen = np.zeros(values.shape[:2], bool)
+        for row, (_, _, joints) in enumerate(found):
+            for name, (x, y, *confidence) in joints.items():
+                values[row, PLACE_OF[name]] = x, y, *(confidence or [1.0])
+                seen[row, PLACE_OF[name]] = True
+        moment, camera = np.array([one[:2] for one in found], dtype=int).reshape(len(found), 2).T
+        return BodyLandmarks(moment, camera, values[..., :2], seen, values[..., 2])
 
 
 @dataclass(frozen=True)

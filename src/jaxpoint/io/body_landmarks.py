@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import re
 
-import numpy as np
-
 from jaxpoint.errors import FileFormatError
 from jaxpoint.evidence.body_landmarks import BodyLandmarks
 from jaxpoint.evidence.person_evidence import JOINTS
@@ -57,7 +55,7 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> BodyLa
         raise rows[0].error(
             f"no landmark has a known name, the first is '{rows[0].text('name')}'; use {', '.join(JOINTS)}."
         )
-    landmarks = _stacked(found)
+    landmarks = BodyLandmarks.of((moment, camera, found[moment, camera, who]) for moment, camera, who in sorted(found))
     _check_pixels(path, landmarks)
     return landmarks
 
@@ -101,12 +99,3 @@ def _check_pixels(path: StrPath, landmarks: BodyLandmarks) -> None:
             f"{path}: all {given.size} coordinates lie between {given.min():.3g} and {given.max():.3g}, as fractions "
             "of the image do; give pixels: multiply x by the image's width and y by its height."
         )
-
-
-def _stacked(found: dict[tuple[int, int, str], dict[str, tuple[float, float, float]]]) -> BodyLandmarks:
-    keys = sorted(found)
-    values = np.array(
-        [[found[key].get(joint, (0.0, 0.0, -1.0)) for joint in JOINTS] for key in keys], dtype=float
-    ).reshape(len(keys), len(JOINTS), 3)
-    moment, camera = np.array([key[:2] for key in keys], dtype=int).reshape(len(keys), 2).T
-    return BodyLandmarks(moment, camera, values[..., :2], values[..., 2] >= 0, np.maximum(values[..., 2], 0.0))

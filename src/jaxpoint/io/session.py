@@ -14,11 +14,12 @@ session/
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, InsufficientDataError, UsageError
@@ -57,6 +58,21 @@ class Session:
     def files(self) -> tuple[Path, ...]:
         """All that the session was read from, folders of images among it."""
         return (*self.videos, *(path for path in (self.timestamps, self.calibration, *self.empty) if path is not None))
+
+    def images(
+        self, camera: int, moments: Sequence[int] | None = None
+    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
+        """The images of one camera (blue, green, red) with the places of their moments, without those that are damaged.
+
+        Args:
+            camera: place among the cameras.
+            moments: places of those that are wanted; None for all.
+        """
+        chosen = np.arange(len(self.moments)) if moments is None else np.unique(np.asarray(moments, int))
+        index = self.frame_index[chosen, camera]
+        for frame, image in open_frames(self.videos[camera]).readable(np.unique(index[index >= 0])):
+            for moment in chosen[index == frame].tolist():
+                yield moment, image
 
 
 def open_session(folder: Path, calibration: Path | None = None, unit: str | None = None) -> Session:

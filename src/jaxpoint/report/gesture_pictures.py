@@ -13,7 +13,6 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detection.colour import Image
 from jaxpoint.extras import extra
 from jaxpoint.io.session import Session
-from jaxpoint.io.video import open_frames
 from jaxpoint.pointing.answers import Answer
 from jaxpoint.pointing.objects import NOTHING
 from jaxpoint.pointing.pipeline import SessionAnswers
@@ -37,12 +36,8 @@ def room_scene(pointed: SessionAnswers, rig: CameraRig) -> RoomScene:
 
 def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | None]]:
     """The image of every camera (outer) at some moments (inner); None where it has none."""
-    found = []
-    for camera, video in enumerate(session.videos):
-        index = session.frame_index[list(moments), camera]
-        frames = dict(open_frames(video).readable(np.unique(index[index >= 0])))
-        found.append([frames.get(int(frame)) for frame in index])
-    return found
+    found = [dict(session.images(camera, moments)) for camera in range(len(session.names))]
+    return [[own.get(moment) for moment in moments] for own in found]
 
 
 def gestures_shown(

@@ -12,7 +12,6 @@ from jaxpoint.body.following import Following
 from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence, FrameReason
 from jaxpoint.evidence.limbs import Pixel
 from jaxpoint.io.session import Session
-from jaxpoint.io.video import open_frames
 from jaxpoint.report.contact_sheet import PersonView, contact_sheet
 
 MOMENTS = 6  # shown
@@ -63,9 +62,8 @@ def well_apart(worth: Float[np.ndarray, " F"], count: int = MOMENTS) -> list[int
 
 def images_of(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
     """One camera's images of some moments; None where it has none."""
-    index = session.frame_index[moments, camera]
-    found = dict(open_frames(session.videos[camera]).readable(np.unique(index[index >= 0])))
-    return [found.get(int(frame)) for frame in index]
+    found = dict(session.images(camera, moments))
+    return [found.get(moment) for moment in moments]
 
 
 def _caption(session: Session, following: Following | None, moment: int) -> str:
