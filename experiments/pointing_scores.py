@@ -44,7 +44,7 @@ def kept_gesture(pixels: GesturePixels) -> KeptGesture:
         thesis = _thesis(pixels)
         joints, covariance, views, span = [], [], 0, (0.0, 0.0)
         if holds:
-            hold = max(holds, key=lambda hold: hold.views * len(hold.moments))
+            hold = max(holds, key=lambda hold: hold.views * len(hold.frames))
             held = held_joints(session.rig, pixels.following, [hold])
             joints, covariance = np.asarray(held.joints.flat[0]).tolist(), np.asarray(held.covariance[0]).tolist()
             views, span = hold.views, (hold.start_s, hold.end_s)

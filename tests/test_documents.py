@@ -174,7 +174,7 @@ def test_the_detector_shown_detects():
         exec(blocks("docs/extend.md", "python")[2], {})
         views = detect_people(PeopleRequest(session), "mine")
         for view, own in zip(views, session.frame_index.T, strict=True):
-            np.testing.assert_array_equal(view.moment, np.flatnonzero(own >= 0))
+            np.testing.assert_array_equal(view.frame, np.flatnonzero(own >= 0))
         assert views[0].head_found.all()
         joints = views[1].person(0).joints()
         assert joints.seen.sum() == 3

@@ -249,7 +249,7 @@ def test_point_keeps_the_answers(landmarks, tmp_path, monkeypatch, capsys):
 def test_a_gesture_without_any_image_is_shown_without_a_picture(landmarks, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "jaxpoint.report.gesture_pictures.images_of",
-        lambda session, moments: [[None] * len(moments)] * len(session.names),
+        lambda session, frames: [[None] * len(frames)] * len(session.names),
     )
     code, out, _ = run("point", SESSION, "--landmarks", landmarks, "--out", tmp_path / "answers", capsys=capsys)
     assert (code, lines_of(out)) == (0, [])

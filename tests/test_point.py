@@ -28,7 +28,7 @@ def run(*arguments, capsys):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A session of one gesture: the embedded one, with fewer moments."""
+    """A session of one gesture: the embedded one, with fewer frames."""
     short = tmp_path_factory.mktemp("point") / "session"
     short.mkdir()
     with as_file(files("jaxpoint") / "data" / "session") as whole:
@@ -133,7 +133,7 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         shutil.copy(folder / name, one / name)
     (tmp_path / "times.csv").write_text("start_s,end_s\n50,51\n")
     cases = [
-        ((folder, "--gesture.min-stretch", 0.99), 4, "No gesture was found in 17 moments"),
+        ((folder, "--gesture.min-stretch", 0.99), 4, "No gesture was found in 17 frames"),
         ((one,), 4, "has 1 camera; a line in the room takes two views or more"),
         ((folder, "--calibration", no_scale), 2, "has no metric scale"),
         ((folder, "--calibration", small), 2, "is 512 x 288 px, but"),

@@ -1,4 +1,4 @@
-"""Which moments are looked at again, from arms whose directions and tips are made up."""
+"""Which frames are looked at again, from arms whose directions and tips are made up."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -23,25 +23,25 @@ def arm(azimuth_deg: float, tip=(1.0, 2.0, 1.3)) -> PointingArm:
 
 
 class Again:
-    """Finds the arm that a table says, and remembers for which moments it was asked."""
+    """Finds the arm that a table says, and remembers for which frames it was asked."""
 
     def __init__(self, found: dict[int, PointingArm | None]):
         self.found, self.asked = found, []
 
-    def __call__(self, moment: int, other: int) -> PointingArm | None:
-        self.asked.append((moment, other))
-        return self.found.get(moment)
+    def __call__(self, frame: int, other: int) -> PointingArm | None:
+        self.asked.append((frame, other))
+        return self.found.get(frame)
 
 
 def test_a_steady_arm_is_left_alone():
-    arms = {moment: arm(0.5 * moment) for moment in range(12)}
+    arms = {frame: arm(0.5 * frame) for frame in range(12)}
     again = Again({})
     assert with_neighbours(arms, TIMES, again) == arms
     assert again.asked == []
 
 
 def test_a_gap_is_filled_from_its_nearest_neighbour():
-    arms = {moment: None if moment == 5 else arm(10.0) for moment in range(12)}
+    arms = {frame: None if frame == 5 else arm(10.0) for frame in range(12)}
     again = Again({5: arm(12.0)})
     found = with_neighbours(arms, TIMES, again)
     assert found[5] is again.found[5]
@@ -50,8 +50,8 @@ def test_a_gap_is_filled_from_its_nearest_neighbour():
 
 
 def test_a_long_gap_is_filled_from_its_ends():
-    arms = {moment: None if 3 <= moment <= 8 else arm(10.0) for moment in range(12)}
-    found = with_neighbours(arms, TIMES, Again({moment: arm(11.0) for moment in range(12)}))
+    arms = {frame: None if 3 <= frame <= 8 else arm(10.0) for frame in range(12)}
+    found = with_neighbours(arms, TIMES, Again({frame: arm(11.0) for frame in range(12)}))
     assert all(found.values())
 
 
@@ -61,19 +61,19 @@ def test_a_long_gap_is_filled_from_its_ends():
     ids=["found elsewhere", "withdrawn", "tip elsewhere"],
 )
 def test_an_answer_that_stands_alone_is_replaced_or_withdrawn(wrong, new, expected):
-    arms = {moment: wrong if moment == 5 else arm(0.0) for moment in range(12)}
+    arms = {frame: wrong if frame == 5 else arm(0.0) for frame in range(12)}
     found = with_neighbours(arms, TIMES, Again({5: new}))
     assert found[5] is (new if expected == "new" else None)
 
 
 def test_an_arm_that_is_raised_is_no_contradiction():
-    arms = {moment: arm(100.0 * TIMES[moment], (1.0, 2.0, 1.0 + TIMES[moment])) for moment in range(12)}
+    arms = {frame: arm(100.0 * TIMES[frame], (1.0, 2.0, 1.0 + TIMES[frame])) for frame in range(12)}
     again = Again({})
     with_neighbours(arms, TIMES, again)
     assert again.asked == []
 
 
-def test_moments_far_away_have_no_say():
+def test_frames_far_away_have_no_say():
     arms = {0: arm(0.0), 1: arm(150.0), 2: arm(0.0), 3: arm(0.0), 4: arm(0.0)}
     again = Again({})
     assert with_neighbours(arms, np.arange(5.0), again) == arms

@@ -67,7 +67,7 @@ def test_landmarks_become_heads_and_arms(landmarks, tmp_path):
     joints = truth()
     arms = [row for row in rows(out / "arms.csv") if row["reason"] == "found"]
     held = [row for row in arms if 11 <= int(row["frame"]) <= 17]  # the hold of the first gesture
-    assert len(held) >= 6  # in one moment only the other arm is seen by two views
+    assert len(held) >= 6  # in one frame only the other arm is seen by two views
     angles, tips = [], []
     for row in held:
         frame = int(row["frame"])

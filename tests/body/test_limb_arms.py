@@ -204,7 +204,7 @@ def test_one_edge_is_enough_where_others_know_the_width(example, sides, says):
     assert degrees_between(again.direction, forearm) < 2.0
 
 
-def test_a_neighbouring_moment_predicts_the_arm(example):
+def test_a_neighbouring_frame_predicts_the_arm(example):
     rig, crops, head, head_px, joints, forearm = example
     arm = arm_of(rig, crops, head, head_px)
     assert arm is not None

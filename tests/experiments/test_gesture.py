@@ -15,7 +15,7 @@ def given():
 
 
 def test_a_hold_is_the_same_alone_and_among_others(given):
-    later = replace(given.hold, moments=given.hold.moments[1:], times=given.hold.times[1:])
+    later = replace(given.hold, frames=given.hold.frames[1:], times=given.hold.times[1:])
     alone = held_joints(given.rig, given.following, [given.hold])
     among = held_joints(given.rig, given.following, [later, given.hold, later])
     np.testing.assert_allclose(among.joints.flat[1], alone.joints.flat[0], atol=1e-12)

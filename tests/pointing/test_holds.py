@@ -22,8 +22,8 @@ def track(holds=((10, 18), (30, 36)), frames=45, seed=0) -> ArmTrack:
         tips[part], stretch[part] = [0.6, -0.2 + number, 1.5], 0.4
         directions[part] = POINTING * [1, (-1) ** number, 1]
     tips += 0.003 * rng.normal(size=tips.shape)
-    moments = np.arange(frames)
-    return ArmTrack(0, moments, PERIOD * moments, tips, directions, stretch, np.full(frames, 4))
+    frames = np.arange(frames)
+    return ArmTrack(0, frames, PERIOD * frames, tips, directions, stretch, np.full(frames, 4))
 
 
 def select(arm: ArmTrack, kept) -> ArmTrack:
@@ -33,8 +33,8 @@ def select(arm: ArmTrack, kept) -> ArmTrack:
 
 def test_holds_are_found_and_rest_is_none():
     first, second = find_holds([track()], GestureSettings())
-    assert (first.moments[0], first.moments[-1]) == (10, 18)
-    assert (second.moments[0], second.moments[-1]) == (30, 36)
+    assert (first.frames[0], first.frames[-1]) == (10, 18)
+    assert (second.frames[0], second.frames[-1]) == (30, 36)
     assert first.time_s == pytest.approx(14 * PERIOD)
     assert not find_holds([track(holds=())], GestureSettings())
 
@@ -50,20 +50,20 @@ def test_missing_frames_and_another_limb_do_not_break_a_hold():
     wrong = [12, 16, 19]
     arm.tips[wrong] += [-0.5, 0.1, 0.2]
     arm.directions[wrong] = -POINTING
-    (hold,) = find_holds([select(arm, ~np.isin(arm.moments, [14, 15]))], GestureSettings())
-    assert set(hold.moments) == set(range(10, 21)) - {12, 14, 15, 16, 19}
+    (hold,) = find_holds([select(arm, ~np.isin(arm.frames, [14, 15]))], GestureSettings())
+    assert set(hold.frames) == set(range(10, 21)) - {12, 14, 15, 16, 19}
 
 
 def test_a_long_gap_ends_a_hold():
     arm = track(holds=((10, 30),))
-    holds = find_holds([select(arm, ~np.isin(arm.moments, range(17, 24)))], GestureSettings())
-    assert [(hold.moments[0], hold.moments[-1]) for hold in holds] == [(10, 16), (24, 30)]
+    holds = find_holds([select(arm, ~np.isin(arm.frames, range(17, 24)))], GestureSettings())
+    assert [(hold.frames[0], hold.frames[-1]) for hold in holds] == [(10, 16), (24, 30)]
 
 
 def test_another_limb_as_the_arm_comes_up_is_no_gesture():
     arm = track(holds=((5, 8), (11, 20)))
     (hold,) = find_holds([arm], GestureSettings())
-    assert (hold.moments[0], hold.moments[-1]) == (11, 20)
+    assert (hold.frames[0], hold.frames[-1]) == (11, 20)
 
 
 @pytest.mark.parametrize(("frames", "found"), [(1, 0), (2, 0), (3, 1)])
@@ -74,7 +74,7 @@ def test_short_holds_are_none(frames, found):
 def test_given_times_take_what_agrees_most_within_them():
     arm = track(holds=((10, 18),))
     hold = hold_within([arm], 12 * PERIOD, 18 * PERIOD, GestureSettings())
-    assert (hold.moments[0], hold.moments[-1]) == (12, 18)
+    assert (hold.frames[0], hold.frames[-1]) == (12, 18)
     assert hold_within([arm], 100.0, 101.0, GestureSettings()) is None
 
 

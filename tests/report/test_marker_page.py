@@ -26,7 +26,7 @@ FIGURES = {
 
 @pytest.fixture
 def track():
-    """A way of 20 moments: three without a tip, two without a direction."""
+    """A way of 20 frames: three without a tip, two without a direction."""
     turn = np.linspace(0, 2, 20)
     tips = np.stack([2 + np.cos(turn), 2 + np.sin(turn), 1.2 + 0.1 * turn], axis=1)
     directions = np.stack([-np.sin(turn), np.cos(turn), 0 * turn], axis=1)
@@ -39,7 +39,7 @@ def test_the_way_is_broken_where_there_is_no_tip(track):
     with style():
         figure = in_space(track, ("door", "window"), CENTERS)
     (way,) = [one for one in figure.axes[0].collections if one.get_array() is not None]
-    assert len(way.get_array()) == 19 - 4  # three moments without a tip cut four pieces
+    assert len(way.get_array()) == 19 - 4  # three frames without a tip cut four pieces
     pieces, _ = track.pieces()
     assert np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).max() < 0.15  # none leads to the zeros
 
@@ -59,9 +59,9 @@ def test_tips_lie_in_their_place_and_point_ahead(track):
 
 def test_the_page_says_what_was_found(track, tmp_path):
     sheet = np.zeros((4, 4, 3), np.uint8)
-    write_marker_report(tmp_path / "report.html", FIGURES, track, CENTERS, [("Moment 3", sheet)], {}, "[a]")
+    write_marker_report(tmp_path / "report.html", FIGURES, track, CENTERS, [("Frame 3", sheet)], {}, "[a]")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    for told in ("17 of 20", "3 no colour", "Moments without a tip in the room: 3 one view.", "0.4 cm", "Moment 3"):
+    for told in ("17 of 20", "3 no colour", "Frames without a tip in the room: 3 one view.", "0.4 cm", "Frame 3"):
         assert told in page, told
     assert page.count("<svg") == 3
     alone = FIGURES | {"in_room": None}

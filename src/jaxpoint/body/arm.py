@@ -20,7 +20,7 @@ class ArmReason(IntEnum):
     """Why a view is not used for an arm, or FOUND."""
 
     FOUND = 0
-    NO_IMAGE = 1  # no frame of this camera at this moment
+    NO_IMAGE = 1  # no image of this camera in this frame
     NO_PERSON = 2  # no silhouette of the person
     NO_ARM = 3  # no two views agree on an arm
     OUTSIDE = 4  # behind the camera or outside its image

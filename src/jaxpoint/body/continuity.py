@@ -1,7 +1,7 @@
-"""Arms over time: a moment that its neighbours contradict is looked at again where they predict the arm.
+"""Arms over time: a frame that its neighbours contradict is looked at again where they predict the arm.
 
-Single moments fail where views merge an arm with what is behind it; a moment later they do not. Nothing is smoothed:
-an answer always comes from the images of its own moment, or is withdrawn.
+Single frames fail where views merge an arm with what is behind it; a frame later they do not. Nothing is smoothed:
+an answer always comes from the images of its own frame, or is withdrawn.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from jaxtyping import Float
 from jaxpoint.body.arm import PointingArm
 
 WINDOW_S = 0.35  # neighbours are no farther away
-TURN = np.deg2rad(15.0)  # by which arms of neighbouring moments may differ,
+TURN = np.deg2rad(15.0)  # by which arms of neighbouring frames may differ,
 TURN_A_SECOND = np.deg2rad(120.0)  # and more with the time between: an arm that is raised
 JUMP_M = 0.10  # the same for the tip
 JUMP_M_A_SECOND = 2.0
-SUPPORT = 2  # neighbours that agree, before a moment is looked at again
+SUPPORT = 2  # neighbours that agree, before a frame is looked at again
 OUTVOTED = 3  # before an answer that stands alone is withdrawn
-ROUNDS = 3  # what was found again supports the moments beside it
+ROUNDS = 3  # what was found again supports the frames beside it
 
 Arms = dict[int, PointingArm | None]
 Again = Callable[[int, int], PointingArm | None]
@@ -31,45 +31,41 @@ def with_neighbours(
     times: Float[np.ndarray, " F"],
     again: Again,
 ) -> Arms:
-    """The arms of one person by moment, those that neighbours contradict found anew or withdrawn.
+    """The arms of one person by frame, those that neighbours contradict found anew or withdrawn.
 
     Args:
-        arms: by moment, None where none was found.
-        times: of all moments, s.
-        again: looks for the arm of the first moment where that of the second predicts it.
+        arms: by frame, None where none was found.
+        times: of all frames, s.
+        again: looks for the arm of the first frame where that of the second predicts it.
     """
     arms = dict(arms)
     for _ in range(ROUNDS):
-        changed = {
-            moment: new for moment in arms if (new := _reconsider(arms, times, moment, again)) is not arms[moment]
-        }
+        changed = {frame: new for frame in arms if (new := _reconsider(arms, times, frame, again)) is not arms[frame]}
         if not changed:
             break
         arms.update(changed)
     return arms
 
 
-def _reconsider(arms: Arms, times: np.ndarray, moment: int, again: Again) -> PointingArm | None:
-    own = arms[moment]
+def _reconsider(arms: Arms, times: np.ndarray, frame: int, again: Again) -> PointingArm | None:
+    own = arms[frame]
     others = {
-        m: arm
-        for m, arm in arms.items()
-        if m != moment and arm is not None and abs(times[m] - times[moment]) <= WINDOW_S
+        m: arm for m, arm in arms.items() if m != frame and arm is not None and abs(times[m] - times[frame]) <= WINDOW_S
     }
     group = _majority(others, times)
     if len(group) < SUPPORT:
         return own
-    if own is not None and _alike(own, others[group[0]], times[moment] - times[group[0]]):
+    if own is not None and _alike(own, others[group[0]], times[frame] - times[group[0]]):
         return own
-    nearest = min(group, key=lambda other: abs(times[other] - times[moment]))
-    found = again(moment, nearest)
-    if found is not None and _alike(found, others[nearest], times[moment] - times[nearest]):
+    nearest = min(group, key=lambda other: abs(times[other] - times[frame]))
+    found = again(frame, nearest)
+    if found is not None and _alike(found, others[nearest], times[frame] - times[nearest]):
         return found
     return None if own is not None and len(group) >= OUTVOTED else own
 
 
 def _majority(arms: Mapping[int, PointingArm], times: np.ndarray) -> list[int]:
-    """The moments that most of them agree with, the one with the most agreement first; none without a majority."""
+    """The frames that most of them agree with, the one with the most agreement first; none without a majority."""
     groups = [[m, *(o for o in arms if o != m and _alike(arms[m], arms[o], times[m] - times[o]))] for m in arms]
     best = max(groups, key=len, default=[])
     return best if 2 * len(best) > len(arms) else []

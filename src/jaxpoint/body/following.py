@@ -1,4 +1,4 @@
-"""People through a recording: heads from all views to tracks, and each person's arm at each moment."""
+"""People through a recording: heads from all views to tracks, and each person's arm in each frame."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhou
 
 @dataclass(frozen=True)
 class Following:
-    """N people over F moments by C cameras."""
+    """N people over F frames by C cameras."""
 
     tracking: Tracking
     sightings: Int[np.ndarray, "F N C"]  # which sighting of each camera is the person; -1 where none
-    arms: dict[tuple[int, int], PointingArm | None]  # by moment and person, where the person is in the room
+    arms: dict[tuple[int, int], PointingArm | None]  # by frame and person, where the person is in the room
 
 
 def follow(
@@ -51,10 +51,10 @@ def follow(
 
     Args:
         rig: the cameras, C of them, m.
-        views: what each camera saw of the same F moments.
+        views: what each camera saw of the same F frames.
         times: s.
         settings: of the head track.
-        frame_ids: numbers of the moments.
+        frame_ids: numbers of the frames.
         progress: called with what is done, how much of it, and how much there is.
 
     Raises:
@@ -82,19 +82,19 @@ def _with_sightings(
     sightings = np.full(tracking.candidates.shape, -1)
     projected, depth = np.asarray(rig.project(heads.positions)), np.asarray(rig.depth(heads.positions))
     reach = ARM_M * np.asarray(rig.cameras.focal).mean(axis=1) / np.maximum(depth, NEAREST_M)  # px
-    for moment, person in np.argwhere(heads.present).tolist():
-        place = projected[moment, person]
-        sightings[moment, person] = [
-            _sighting(views[c], moment, index[moment, c], int(tracking.candidates[moment, person, c]), place[c])
-            if depth[moment, person, c] > 0
+    for frame, person in np.argwhere(heads.present).tolist():
+        place = projected[frame, person]
+        sightings[frame, person] = [
+            _sighting(views[c], frame, index[frame, c], int(tracking.candidates[frame, person, c]), place[c])
+            if depth[frame, person, c] > 0
             else -1
             for c in range(len(views))
         ]
-    for moment, person, camera in np.argwhere((sightings < 0) & heads.present[..., None] & (depth > 0)).tolist():
-        others = sightings[moment, :, camera]
-        place = projected[moment, person, camera]
-        sightings[moment, person, camera] = _beside(
-            views[camera], moment, others, place, float(reach[moment, person, camera])
+    for frame, person, camera in np.argwhere((sightings < 0) & heads.present[..., None] & (depth > 0)).tolist():
+        others = sightings[frame, :, camera]
+        place = projected[frame, person, camera]
+        sightings[frame, person, camera] = _beside(
+            views[camera], frame, others, place, float(reach[frame, person, camera])
         )
     return Following(tracking, sightings, {})
 
@@ -102,65 +102,65 @@ def _with_sightings(
 def _with_arms(
     rig: CameraRig, views: Sequence[AbstractCameraEvidence], following: Following, progress: Progress | None
 ) -> Following:
-    """The arms of everybody at every moment: by joints where views show them, else by outlines."""
+    """The arms of everybody in every frame: by joints where views show them, else by outlines."""
     heads = following.tracking.heads
     projected = np.asarray(rig.project(heads.positions))
 
-    def people(moment: int, person: int) -> list[AbstractPersonEvidence | None]:
-        own = following.sightings[moment, person].tolist()
+    def people(frame: int, person: int) -> list[AbstractPersonEvidence | None]:
+        own = following.sightings[frame, person].tolist()
         return [views[camera].person(sighting) if sighting >= 0 else None for camera, sighting in enumerate(own)]
 
-    def again(moment: int, person: int, other: int) -> PointingArm | None:
-        head, before = heads.positions[[moment, other], person]
+    def again(frame: int, person: int, other: int) -> PointingArm | None:
+        head, before = heads.positions[[frame, other], person]
         arm = arms[other, person]
-        return None if arm is None else find_arm_again(rig, people(moment, person), head, arm, head - before)
+        return None if arm is None else find_arm_again(rig, people(frame, person), head, arm, head - before)
 
-    present = [(int(moment), int(person)) for moment, person in np.argwhere(heads.present)]
+    present = [(int(frame), int(person)) for frame, person in np.argwhere(heads.present)]
     seen = SeenArms.of([people(*one) for one in present])
     arms = dict(zip(present, joint_arms(rig, seen, heads.positions[heads.present])))
-    for moment in range(len(heads.positions)):
-        for person in np.flatnonzero(heads.present[moment]).tolist():
-            if arms[moment, person] is None:
-                head, head_px = heads.positions[moment, person], projected[moment, person]
-                arms[moment, person] = find_arm(rig, people(moment, person), head, head_px)
+    for frame in range(len(heads.positions)):
+        for person in np.flatnonzero(heads.present[frame]).tolist():
+            if arms[frame, person] is None:
+                head, head_px = heads.positions[frame, person], projected[frame, person]
+                arms[frame, person] = find_arm(rig, people(frame, person), head, head_px)
         if progress:
-            progress("arms", moment + 1, len(heads.positions))
+            progress("arms", frame + 1, len(heads.positions))
     for person in range(heads.present.shape[1]):
-        own = {moment: arm for (moment, who), arm in arms.items() if who == person}
+        own = {frame: arm for (frame, who), arm in arms.items() if who == person}
         agreed = with_neighbours(own, heads.times, lambda m, o, who=person: again(m, who, o))
-        arms.update({(moment, person): arm for moment, arm in agreed.items()})
+        arms.update({(frame, person): arm for frame, arm in agreed.items()})
     return replace(following, arms=arms)
 
 
-def _heads(views: Sequence[AbstractCameraEvidence], moments: int):
+def _heads(views: Sequence[AbstractCameraEvidence], frames: int):
     """Candidates of heads as arrays (F, C, K).
 
     Pixels, which there are, their errors (px), which are doubtful, and whose sighting each is.
     """
-    most = max((int(np.bincount(view.moment).max(initial=1)) for view in views if len(view.moment)), default=1)
-    pixels = np.zeros((moments, len(views), most, 2))
-    valid = np.zeros((moments, len(views), most), bool)
-    sigma = np.ones((moments, len(views), most))
-    doubtful = np.zeros((moments, len(views), most), bool)
-    index = np.full((moments, len(views), most), -1)
+    most = max((int(np.bincount(view.frame).max(initial=1)) for view in views if len(view.frame)), default=1)
+    pixels = np.zeros((frames, len(views), most, 2))
+    valid = np.zeros((frames, len(views), most), bool)
+    sigma = np.ones((frames, len(views), most))
+    doubtful = np.zeros((frames, len(views), most), bool)
+    index = np.full((frames, len(views), most), -1)
     for camera, view in enumerate(views):
         found, whole = view.head_found, view.head_inside
-        place = np.arange(len(view.moment)) - np.searchsorted(view.moment, view.moment)
-        pixels[view.moment, camera, place] = view.head
-        valid[view.moment, camera, place] = found | view.head_cut
+        place = np.arange(len(view.frame)) - np.searchsorted(view.frame, view.frame)
+        pixels[view.frame, camera, place] = view.head
+        valid[view.frame, camera, place] = found | view.head_cut
         relative = np.where(found, HEAD_SIGMA, CUT_HEAD_SIGMA)
-        sigma[view.moment, camera, place] = np.maximum(1.0, relative * view.head_height)
-        doubtful[view.moment, camera, place] = ~(found & whole)
-        index[view.moment, camera, place] = np.arange(len(view.moment))
+        sigma[view.frame, camera, place] = np.maximum(1.0, relative * view.head_height)
+        doubtful[view.frame, camera, place] = ~(found & whole)
+        index[view.frame, camera, place] = np.arange(len(view.frame))
     return pixels, valid, sigma, doubtful, index
 
 
-def _sighting(view: AbstractCameraEvidence, moment: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
+def _sighting(view: AbstractCameraEvidence, frame: int, index: np.ndarray, used: int, head: np.ndarray) -> int:
     """The sighting whose head was used; else the one whose box holds the head, the largest first."""
     if used >= 0:
         return int(index[used])
     head = np.clip(head, 0, np.array(view.size) - 1)  # the rest of a person cut by the image's border is still there
-    for sighting in view.of(moment):
+    for sighting in view.of(frame):
         x, y, width, height = view.box[sighting]
         margin = INSIDE * height
         if x - margin <= head[0] <= x + width + margin and y - margin <= head[1] <= y + height:
@@ -168,13 +168,13 @@ def _sighting(view: AbstractCameraEvidence, moment: int, index: np.ndarray, used
     return -1
 
 
-def _beside(view: AbstractCameraEvidence, moment: int, others: np.ndarray, head: np.ndarray, reach: float) -> int:
+def _beside(view: AbstractCameraEvidence, frame: int, others: np.ndarray, head: np.ndarray, reach: float) -> int:
     """The nearest sighting of nobody else at the image's border, beyond which the head is: an arm that reaches in."""
     size = np.array(view.size)
     if ((head >= 0) & (head < size)).all():
         return -1
     best, least = -1, reach
-    for sighting in view.of(moment):
+    for sighting in view.of(frame):
         low, extent = view.box[sighting, :2], view.box[sighting, 2:]
         cut = (low <= 0).any() or (low + extent >= size).any()
         apart = float(np.linalg.norm(head - np.clip(head, low, low + extent)))

@@ -16,14 +16,14 @@ AGREED_PX = 20.0  # by which two views of one head may miss each other
 UNITS = {"cm": 100.0, "mm": 1000.0}  # in a metre
 
 
-def head_height(rig: CameraRig, views: Sequence[AbstractCameraEvidence], moments: int) -> float | None:
+def head_height(rig: CameraRig, views: Sequence[AbstractCameraEvidence], frames: int) -> float | None:
     """Median height (in the rig's unit) of heads that were the only ones in two images or more; None where too few."""
-    pixels = np.zeros((moments, len(views), 2))
-    seen = np.zeros((moments, len(views)), bool)
+    pixels = np.zeros((frames, len(views), 2))
+    seen = np.zeros((frames, len(views)), bool)
     for camera, view in enumerate(views):
         found = view.head_found
-        alone = found & (np.bincount(view.moment[found], minlength=moments)[view.moment] == 1)
-        pixels[view.moment[alone], camera], seen[view.moment[alone], camera] = view.head[alone], True
+        alone = found & (np.bincount(view.frame[found], minlength=frames)[view.frame] == 1)
+        pixels[view.frame[alone], camera], seen[view.frame[alone], camera] = view.head[alone], True
     with jax.enable_x64(True):
         result = triangulate(rig, pixels, seen, covariance=False)
     good = np.asarray(result.valid) & (np.asarray(result.rms) < AGREED_PX)

@@ -53,7 +53,7 @@ class JointPixels(AbstractArmPixels):
 
 @dataclass(frozen=True)
 class SeenArms:
-    """Elbow, wrist and fingertip of both arms (J = 6) of R people at single moments, in C views."""
+    """Elbow, wrist and fingertip of both arms (J = 6) of R people in single frames, in C views."""
 
     pixels: Float[np.ndarray, "R J C 2"]  # px
     seen: Bool[np.ndarray, "R J C"]
@@ -93,7 +93,7 @@ def joint_arms(rig: CameraRig, arms: SeenArms, heads: Float[np.ndarray, "R 3"]) 
 
 @dataclass(frozen=True)
 class _Joints:
-    """Triangulated joints; R moments of people by J joints, and less once some were taken."""
+    """Triangulated joints; R frames of people by J joints, and less once some were taken."""
 
     points: np.ndarray  # (R, J, 3), m
     covariance: np.ndarray  # (R, J, 3, 3), m^2
@@ -103,7 +103,7 @@ class _Joints:
     used: np.ndarray  # (R, J, C)
 
     def of(self, row: int, joints: slice) -> _Joints:
-        """Some joints of one person at one moment."""
+        """Some joints of one person in one frame."""
         return _Joints(*(getattr(self, one.name)[row, joints] for one in fields(self)))
 
 

@@ -1,4 +1,4 @@
-"""The arm of one person at one moment by its outlines: found over all views, measured in each, put together in 3-D."""
+"""The arm of one person in one frame by its outlines: found over all views, measured in each, put together in 3-D."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ _OTHER_START = np.deg2rad(4.0)
 
 @dataclass(frozen=True)
 class _Scene:
-    """What all C cameras see of one person at one moment."""
+    """What all C cameras see of one person in one frame."""
 
     rig: CameraRig
     people: People
@@ -121,13 +121,13 @@ def measure_limbs(
 def find_arm_again(
     rig: CameraRig, people: People, head: Float[np.ndarray, "3"], other: PointingArm, moved: np.ndarray
 ) -> PointingArm | None:
-    """The arm where that of a neighbouring moment predicts it; None where the views do not confirm it.
+    """The arm where that of a neighbouring frame predicts it; None where the views do not confirm it.
 
     Args:
         rig: the cameras.
         people: what each view shows of the person; None where it shows nothing.
         head: centre of the head, m.
-        other: the arm a moment before or after.
+        other: the arm a frame before or after.
         moved: by which the head has moved since, m.
     """
     if _count_outlined(people) < 2:
@@ -165,7 +165,7 @@ def _limbs(
 
 
 def _rays_of(scene: _Scene, limbs: Sequence[LimbEnd], cameras: Sequence[int]) -> LimbRays:
-    """All long ends as rays; padded to one shape, so that one program does for every moment."""
+    """All long ends as rays; padded to one shape, so that one program does for every frame."""
     most = MOST_LIMBS * len(scene.rig)
     pixels = np.zeros((most, SLICES + 1, 2))
     place = np.zeros(most, np.int64)

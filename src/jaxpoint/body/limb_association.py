@@ -35,7 +35,7 @@ _FOREARM = slice(round(0.17 / SLICE_M), round(0.40 / SLICE_M))
 
 @dataclass(frozen=True)
 class LimbRays:
-    """N long ends of all views of one moment, as rays of the world."""
+    """N long ends of all views of one frame, as rays of the world."""
 
     camera: Int[np.ndarray, " N"]
     origin: Float[np.ndarray, "N 3"]  # m
@@ -51,7 +51,7 @@ class LimbRays:
 
 @dataclass(frozen=True)
 class Arm:
-    """One limb of one moment, seen in several views."""
+    """One limb of one frame, seen in several views."""
 
     members: tuple[int, ...]  # places in LimbRays, one a view
     tip: Float[np.ndarray, "3"]  # m
@@ -73,7 +73,7 @@ def associate(limbs: LimbRays, head: Float[np.ndarray, "3"] | None, most: int = 
     A long end may belong to several: measuring them shows which are real.
 
     Args:
-        limbs: of one person at one moment.
+        limbs: of one person in one frame.
         head: centre of the person's head, m; without it nothing is known of shoulders.
         most: limbs at most.
     """

@@ -24,7 +24,7 @@ from jaxpoint.evidence.marker_views import MarkerViews
 
 SIGMA_PX = 0.5  # error of a marker's end across its axis: of a few pixels' mean
 MOST_SIGMA = np.deg2rad(20.0)  # of a direction that is worth giving
-BATCH = 64  # moments whose axes are fitted at once, so that one program does for all
+BATCH = 64  # frames whose axes are fitted at once, so that one program does for all
 TIP, BASE, CENTROID, PERSON = range(4)
 
 
@@ -41,7 +41,7 @@ class TipReason(IntEnum):
 
 @dataclass(frozen=True)
 class MarkerTip:
-    """The marker at one moment. Zeros where it was not found, or has no axis."""
+    """The marker in one frame. Zeros where it was not found, or has no axis."""
 
     reason: TipReason
     members: dict[int, int]  # by camera: which place of its `MarkerViews` is the marker
@@ -60,7 +60,7 @@ class MarkerTip:
 
 @dataclass(frozen=True)
 class _Sights:
-    """The n views of the marker at one moment."""
+    """The n views of the marker in one frame."""
 
     cameras: list[int]
     origins: Float[np.ndarray, "n 3"]  # m
@@ -69,7 +69,7 @@ class _Sights:
 
 
 def marker_tips(rig: CameraRig, markers: Sequence[MarkerViews], settings: MarkerSettings) -> list[MarkerTip]:
-    """The marker at each of the moments. Float64: call it where JAX has 64 bits.
+    """The marker at each of the frames. Float64: call it where JAX has 64 bits.
 
     Args:
         rig: the cameras, C of them, m.
@@ -80,8 +80,8 @@ def marker_tips(rig: CameraRig, markers: Sequence[MarkerViews], settings: Marker
     origins, focal = np.asarray(rig.positions), np.asarray(rig.cameras.focal).mean(axis=1)
     tips: list[MarkerTip] = []
     open_axes: list[tuple[int, _Sights, np.ndarray, np.ndarray]] = []
-    for moment in range(len(markers[0].reasons)):
-        places = [(camera, place) for camera, own in enumerate(markers) for place in own.of(moment)]
+    for frame in range(len(markers[0].reasons)):
+        places = [(camera, place) for camera, own in enumerate(markers) for place in own.of(frame)]
         reason, members = _members(places, rays, origins, settings)
         cameras = [camera for camera, _ in members]
         own = np.array([rays[camera][place] for camera, place in members]).reshape(-1, 4, 3)
@@ -92,27 +92,27 @@ def marker_tips(rig: CameraRig, markers: Sequence[MarkerViews], settings: Marker
             if direction is None:
                 tips[-1] = _without_axis(sights, dict(members))
             else:
-                open_axes.append((moment, sights, *_rough(sights, direction)))
-    for (moment, sights, _, _), axis in zip(
+                open_axes.append((frame, sights, *_rough(sights, direction)))
+    for (frame, sights, _, _), axis in zip(
         open_axes, _fit_axes(rig, [one[1:] for one in open_axes], settings.max_length_m)
     ):
-        members = tips[moment].members
+        members = tips[frame].members
         tip = _on_axis(sights, axis, members)
-        tips[moment] = tip if tip.direction_sigma <= MOST_SIGMA else _without_axis(sights, members)
+        tips[frame] = tip if tip.direction_sigma <= MOST_SIGMA else _without_axis(sights, members)
     return tips
 
 
 def _all_rays(rig: CameraRig, markers: Sequence[MarkerViews]) -> list[Float[np.ndarray, "M 4 3"]]:
     """Unit rays of all places: to tip, base, centroid and person. Padded, so that few programs are compiled."""
-    most = max(len(own.moment) for own in markers)
+    most = max(len(own.frame) for own in markers)
     padded = 64
     while padded < most:
         padded *= 4
     pixels = np.zeros((4, padded, len(markers), 2))
     for camera, own in enumerate(markers):
-        pixels[:, : len(own.moment), camera] = (own.tip, own.base, own.centroid, own.person)
+        pixels[:, : len(own.frame), camera] = (own.tip, own.base, own.centroid, own.person)
     directions = np.asarray(rig.rays(pixels).direction)
-    return [directions[:, : len(own.moment), camera].swapaxes(0, 1) for camera, own in enumerate(markers)]
+    return [directions[:, : len(own.frame), camera].swapaxes(0, 1) for camera, own in enumerate(markers)]
 
 
 def _members(places, rays, origins, settings: MarkerSettings) -> tuple[TipReason, list[tuple[int, int]]]:
@@ -176,7 +176,7 @@ def _ends(
 def _fit_axes(
     rig: CameraRig, starts: Sequence[tuple[_Sights, np.ndarray, np.ndarray]], longest_m: float
 ) -> list[LimbAxis]:
-    """The axes of all moments, in batches of one size."""
+    """The axes of all frames, in batches of one size."""
     axes: list[LimbAxis] = []
     for first in range(0, len(starts), BATCH):
         part = starts[first : first + BATCH]

@@ -56,7 +56,7 @@ def write_answers(
     made = provenance(shlex.join(["jaxpoint", *sys.argv[1:]]), command.inputs(session), command.seed)
     config = RoomConfig(detect=DetectSettings(person=command.person), track=command.track, point=command.settings)
     gestures = [as_json(answer) for answer in pointed.answers]
-    figures: dict[str, Any] = {"gestures": gestures, "notes": list(pointed.notes), "moments": len(session.moments)}
+    figures: dict[str, Any] = {"gestures": gestures, "notes": list(pointed.notes), "moments": len(session.frame_ids)}
     if truth is not None:
         figures["truth"] = [truth.get(answer.number) for answer in pointed.answers]
     notes = [] if missing is None else missing
@@ -67,7 +67,7 @@ def write_answers(
             write(folder, notes)
         shown: list[GestureShown] = []
         with extra("pictures and report.html", notes):
-            shown = gestures_shown(session, following, pointed, images_of(session, pointed.moments), truth, notes)
+            shown = gestures_shown(session, following, pointed, images_of(session, pointed.frames), truth, notes)
         if shown:
             _write_pictures(folder / "pictures", shown, notes)
             with extra("report.html", notes):

@@ -43,7 +43,7 @@ class DetectMarker(SeededOptions):
     session: Annotated[Path, tyro.conf.Positional]
     """Folder of the session, or of its videos."""
     samples: Path
-    """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the moment."""
+    """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the frame."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
     unit: Unit = None
@@ -166,7 +166,7 @@ def _figures(
 
     cameras = []
     for name, own in zip(session.names, markers):
-        reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
+        reasons = Counter(why(own, frame) for frame in range(len(own.reasons)))
         cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
     notes = merged_notes([*session.notes, *(note for own in markers for note in own.notes)])
     if is_mixture(model, command.marker):
@@ -176,7 +176,7 @@ def _figures(
             "marker's middle, with a smaller radius_px."
         )
     figures: dict[str, Any] = {
-        "moments": len(session.moments),
+        "moments": len(session.frame_ids),
         "model": asdict(model),
         "cameras": cameras,
         "in_room": None,
@@ -199,7 +199,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
         lines += ("No tips in the room: these need a calibration (--calibration) and two cameras or more.",)
     else:
         others = f"; others: {_counts(room['reasons'])}" if room["reasons"] else ""
-        lines += (f"Tips in the room: {room['tips']} of {figures['moments']} moments{others}.",)
+        lines += (f"Tips in the room: {room['tips']} of {figures['moments']} frames{others}.",)
     return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
@@ -212,12 +212,12 @@ def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
     found = [camera["found"] for camera in cameras if camera["found"]]
     if not found:
         return InsufficientDataError(
-            f"The marker was found in none of {figures['moments']} moments of {len(cameras)} cameras; the table says "
+            f"The marker was found in none of {figures['moments']} frames of {len(cameras)} cameras; the table says "
             f"what each frame held, {commonest(cameras, _FAINT)}"
         )
     if room is None or room["tips"]:
         return None
     return InsufficientDataError(
-        f"The marker has no tip in the room in any of {figures['moments']} moments ({_counts(room['reasons'])}), though"
+        f"The marker has no tip in the room in any of {figures['moments']} frames ({_counts(room['reasons'])}), though"
         f" {len(found)} of {len(cameras)} cameras show it in {sum(found)} images. {OF_THIS_ROOM} {_FAINT}"
     )

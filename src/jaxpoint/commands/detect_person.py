@@ -102,7 +102,8 @@ def _seen(
     views = detect_people(request, command.detector)
     if session.rig is None or len(session.names) < 2:
         return views, None
-    return views, follow(session.rig, views, session.times, command.track, frame_ids=session.moments, progress=progress)
+    following = follow(session.rig, views, session.times, command.track, frame_ids=session.frame_ids, progress=progress)
+    return views, following
 
 
 def _write(
@@ -181,7 +182,7 @@ def _figures(
             people.append({"person": number, "moments": int(heads.present[:, person].sum()), "arms": sum(found)})
     notes = merged_notes([*session.notes, *(note for view in views for note in view.notes)])
     return {
-        "moments": len(session.moments),
+        "moments": len(session.frame_ids),
         "cameras": cameras,
         "people": people,
         "followed": following is not None,
@@ -201,7 +202,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     ]
     lines = table(("camera", "person in", "heads", "other frames"), rows)
     for person in figures["people"]:
-        lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
+        lines += (f"Person {person['person']}: {person['moments']} frames, the arm in {person['arms']}.",)
     if not figures["followed"]:
         lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
     return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
@@ -221,7 +222,7 @@ def _failure(
 ) -> InsufficientDataError | None:
     cameras = figures["cameras"]
     if not any(camera["with_person"] for camera in cameras):
-        nobody = f"Nobody was found in {figures['moments']} moments of {len(cameras)} cameras; "
+        nobody = f"Nobody was found in {figures['moments']} frames of {len(cameras)} cameras; "
         if command.landmarks is not None:
             return InsufficientDataError(f"{nobody}lower --min-confidence, which is {command.min_confidence:g}.")
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")

@@ -53,7 +53,7 @@ def nobody_followed(heads: Sequence[int], settings: TrackSettings, remedy: str) 
     agreed, of = settings.confirm
     return InsufficientDataError(
         f"Nobody could be followed in the room: {sum(heads)} heads were seen by {sum(map(bool, heads))} of {len(heads)}"
-        f" cameras, and two must agree on one in {agreed} of {of} moments. {remedy}"
+        f" cameras, and two must agree on one in {agreed} of {of} frames. {remedy}"
     )
 
 
@@ -62,5 +62,5 @@ def remedy_of_heights(session: Session, views: Sequence[AbstractCameraEvidence],
     from jaxpoint.body.head_heights import head_height, height_remedy
 
     assert session.rig is not None
-    height = head_height(session.rig, views, len(session.moments))
+    height = head_height(session.rig, views, len(session.frame_ids))
     return height_remedy(height, *settings.height_m) or OF_THIS_ROOM

@@ -155,7 +155,9 @@ class Point(SeededOptions):
             self.workers, progress,
         )  # fmt: skip
         views = detect_people(request, self.detector)
-        following = follow(session.rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
+        following = follow(
+            session.rig, views, session.times, self.track, frame_ids=session.frame_ids, progress=progress
+        )
         if not len(following.tracking.heads.people):
             heads = [int(view.head_found.sum()) for view in views]
             raise nobody_followed(heads, self.track, remedy_of_heights(session, views, self.track))

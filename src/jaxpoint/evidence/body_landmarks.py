@@ -19,9 +19,9 @@ _FACES = (("left_ear", "right_ear"), ("head",), ("left_ear", "right_ear", "left_
 
 @dataclass(frozen=True)
 class BodyLandmarks:
-    """S people in single images, in order of moments, with J landmarks each (`JOINTS`)."""
+    """S people in single images, in order of frames, with J landmarks each (`JOINTS`)."""
 
-    moment: Int[np.ndarray, " S"]  # place among the session's moments, rising
+    frame: Int[np.ndarray, " S"]  # place among the session's frames, rising
     camera: Int[np.ndarray, " S"]  # place among the session's cameras
     pixels: Float[np.ndarray, "S J 2"]  # px
     seen: Bool[np.ndarray, "S J"]
@@ -32,7 +32,7 @@ class BodyLandmarks:
         """Landmarks of people in single images, in any order.
 
         Args:
-            people: of each the place of its moment and of its camera in the session, and by the name of a joint x and y
+            people: of each the place of its frame and of its camera in the session, and by the name of a joint x and y
                 (px) and, where it is known, the confidence.
 
         Raises:
@@ -48,8 +48,8 @@ class BodyLandmarks:
             for name, (x, y, *confidence) in joints.items():
                 values[row, PLACE_OF[name]] = x, y, *(confidence or [1.0])
                 seen[row, PLACE_OF[name]] = True
-        moment, camera = np.array([one[:2] for one in found], dtype=int).reshape(len(found), 2).T
-        return BodyLandmarks(moment, camera, values[..., :2], seen, values[..., 2])
+        frame, camera = np.array([one[:2] for one in found], dtype=int).reshape(len(found), 2).T
+        return BodyLandmarks(frame, camera, values[..., :2], seen, values[..., 2])
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def landmark_views(
     Args:
         landmarks: of all cameras.
         sizes: of the images, px, width and height.
-        has_image: whether each camera has a frame at each moment.
+        has_image: whether each camera has an image of each frame.
     """
     return tuple(_view(landmarks, camera, sizes[camera], has_image[:, camera]) for camera in range(len(sizes)))
 
@@ -98,15 +98,15 @@ def _view(
     landmarks: BodyLandmarks, camera: int, size: Sequence[int] | Int[np.ndarray, "2"], has_image: Bool[np.ndarray, " F"]
 ) -> LandmarkViews:
     own = landmarks.camera == camera
-    pixels, seen, moment = landmarks.pixels[own], landmarks.seen[own], landmarks.moment[own]
+    pixels, seen, frame = landmarks.pixels[own], landmarks.seen[own], landmarks.frame[own]
     box = _boxes(pixels, seen)
     head, found = _heads(pixels, seen)
     reasons = np.where(has_image, int(FrameReason.NOBODY), int(FrameReason.NO_IMAGE))
-    reasons[moment] = int(FrameReason.PERSON)
+    reasons[frame] = int(FrameReason.PERSON)
     return LandmarkViews(
         size=(int(size[0]), int(size[1])),
         reasons=reasons,
-        moment=moment,
+        frame=frame,
         box=box,
         head=head,
         head_height=np.maximum(HEAD_SHARE * box[:, 3], LEAST_HEAD_PX),

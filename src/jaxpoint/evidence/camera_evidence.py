@@ -19,7 +19,7 @@ class FrameReason(IntEnum):
     """What a frame of one camera held."""
 
     PERSON = 0
-    NO_IMAGE = 1  # the camera has no frame at this moment
+    NO_IMAGE = 1  # the camera has no image of this frame
     REPEATED = 2  # the same image as before: a frame was doubled
     TOO_DARK = 3
     BLOWN_OUT = 4  # more than half of the pixels are saturated
@@ -41,11 +41,11 @@ class HeadReason(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class AbstractCameraEvidence(abc.ABC):
-    """F moments of one camera, with S sightings of people in all of them."""
+    """F frames of one camera, with S sightings of people in all of them."""
 
     size: tuple[int, int]  # px, width and height
     reasons: Int[np.ndarray, " F"]  # values of `FrameReason`
-    moment: Int[np.ndarray, " S"]  # place among the F moments, rising
+    frame: Int[np.ndarray, " S"]  # place among the F frames, rising
     box: Int[np.ndarray, "S 4"]  # px: left, top, width, height
     head: Float[np.ndarray, "S 2"]  # px
     head_height: Float[np.ndarray, " S"]  # px
@@ -56,9 +56,9 @@ class AbstractCameraEvidence(abc.ABC):
     def person(self, sighting: int) -> AbstractPersonEvidence:
         """What is known of the person of one sighting."""
 
-    def of(self, moment: int) -> range:
-        """The sightings of one moment."""
-        first, last = np.searchsorted(self.moment, [moment, moment + 1])
+    def of(self, frame: int) -> range:
+        """The sightings of one frame."""
+        first, last = np.searchsorted(self.frame, [frame, frame + 1])
         return range(int(first), int(last))
 
     @property
@@ -93,12 +93,12 @@ class AbstractCameraEvidence(abc.ABC):
     @property
     def silhouette_px(self) -> Int[np.ndarray, " S"]:
         """Area of each silhouette; 0 where there is none."""
-        return np.zeros(len(self.moment), int)
+        return np.zeros(len(self.frame), int)
 
     @property
     def head_certainty(self) -> Float[np.ndarray, " S"]:
         """How sure the detector is of each head, up to 1; 0 where it does not say."""
-        return np.zeros(len(self.moment))
+        return np.zeros(len(self.frame))
 
     def labels(self, sighting: int) -> tuple[UInt8[np.ndarray, "h w"], tuple[int, int]] | None:
         """The `Pixel`s of a person's part of the image, and its corner (x, y); None where the outline is unknown."""

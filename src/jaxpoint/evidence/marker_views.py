@@ -10,11 +10,11 @@ from jaxtyping import Float, Int
 
 @dataclass(frozen=True)
 class MarkerViews:
-    """F moments of one camera, and M places in them that may be the marker, the largest of a moment first."""
+    """F frames of one camera, and M places in them that may be the marker, the largest of a frame first."""
 
     reasons: Int[np.ndarray, " F"]  # values of `FrameReason`
     markers: Int[np.ndarray, " F"]  # values of `MarkerReason`, where there is somebody
-    moment: Int[np.ndarray, " M"]  # place among the F moments, rising
+    frame: Int[np.ndarray, " M"]  # place among the F frames, rising
     area: Int[np.ndarray, " M"]  # px
     centroid: Float[np.ndarray, "M 2"]  # px
     tip: Float[np.ndarray, "M 2"]  # px, the end far from the person
@@ -22,7 +22,7 @@ class MarkerViews:
     person: Float[np.ndarray, "M 2"]  # px, centroid of the silhouette
     notes: tuple[str, ...] = ()
 
-    def of(self, moment: int) -> range:
-        """The places of one moment."""
-        first, last = np.searchsorted(self.moment, [moment, moment + 1])
+    def of(self, frame: int) -> range:
+        """The places of one frame."""
+        first, last = np.searchsorted(self.frame, [frame, frame + 1])
         return range(int(first), int(last))

@@ -1,4 +1,4 @@
-"""What one view shows of one person at one moment, whoever found it."""
+"""What one view shows of one person in one frame, whoever found it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SeenJoints:
 
 
 class AbstractPersonEvidence:
-    """What one view shows of one person at one moment.
+    """What one view shows of one person in one frame.
 
     A detector overrides what it knows: joints, or outlines, or both. Arms are found from the joints where two views
     have them, and else from the outlines. Pixels are those of the whole image.

@@ -1,7 +1,7 @@
 """Landmarks of a pose estimator: `frame,camera,name,x,y,confidence`, and `person` where there are several.
 
 Any estimator will do: names are taken as COCO, MediaPipe (`LEFT_WRIST`, `left_index`) and OpenPose (`LWrist`) write
-them. `frame` is the number of the moment in the session, x and y are px, (0, 0) the centre of the top-left pixel.
+them. `frame` is the number of the frame in the session, x and y are px, (0, 0) the centre of the top-left pixel.
 `person` tells people of one image apart and need not be the same person from image to image.
 """
 
@@ -33,7 +33,7 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> BodyLa
             that is known.
     """
     rows = read_table(path, ("frame", "camera", "name", "x", "y", "confidence"))
-    places = {int(frame): place for place, frame in enumerate(session.moments)}
+    places = {int(frame): place for place, frame in enumerate(session.frame_ids)}
     found: dict[tuple[int, int, str], dict[str, tuple[float, float, float]]] = {}
     known = False
     for row in rows:
@@ -41,7 +41,7 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> BodyLa
         confidence = row.number("confidence")
         if not 0 <= confidence <= 1:
             raise row.error(f"column 'confidence' is {confidence:g}; give it as 0 to 1.")
-        key = (_moment(row, places, session), row.camera(session.names), row.values.get("person", ""))
+        key = (_frame(row, places, session), row.camera(session.names), row.values.get("person", ""))
         known = known or joint in JOINTS
         if joint not in JOINTS or confidence < min_confidence:
             continue
@@ -55,7 +55,7 @@ def read_poses(path: StrPath, session: Session, min_confidence: float) -> BodyLa
         raise rows[0].error(
             f"no landmark has a known name, the first is '{rows[0].text('name')}'; use {', '.join(JOINTS)}."
         )
-    landmarks = BodyLandmarks.of((moment, camera, found[moment, camera, who]) for moment, camera, who in sorted(found))
+    landmarks = BodyLandmarks.of((frame, camera, found[frame, camera, who]) for frame, camera, who in sorted(found))
     _check_pixels(path, landmarks)
     return landmarks
 
@@ -71,11 +71,12 @@ def joint_of(name: str) -> str:
     return plain
 
 
-def _moment(row: Row, places: dict[int, int], session: Session) -> int:
+def _frame(row: Row, places: dict[int, int], session: Session) -> int:
     frame = row.integer("frame")
     if frame not in places:
         raise row.error(
-            f"the session has no frame {frame}; its frames go from {session.moments.min()} to {session.moments.max()}."
+            f"the session has no frame {frame}; its frames go from {session.frame_ids.min()} to "
+            f"{session.frame_ids.max()}."
         )
     return places[frame]
 

@@ -56,7 +56,7 @@ class Answer:
     start_s: float
     end_s: float
     time_s: float
-    frame: int  # number of the moment that is shown
+    frame: int  # number of the frame that is shown
     views: int
     line: str  # the way of pointing that explains the answer best
     joints: dict[str, Float[np.ndarray, "3"]]  # m
@@ -124,7 +124,7 @@ def answers(
         hypotheses: how each may be pointing.
         scene: objects and room.
         people: the id of each person of the tracks.
-        frames: the number of the moment shown of each gesture.
+        frames: the number of the frame shown of each gesture.
         evidence: likelihood factors of what was said.
         words: what was said with each gesture.
         known_errors: the calibration has a covariance.

@@ -15,7 +15,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.held_mean import held_mean
-from jaxpoint.pointing.hold_frames import by_calibration, frames_of, middle_moment, pixels_of
+from jaxpoint.pointing.hold_frames import by_calibration, frames_of, middle_frame, pixels_of
 from jaxpoint.pointing.holds import Hold
 
 GESTURES = 8  # at once, where there is more than one: a padded size for which programs are compiled
@@ -28,7 +28,7 @@ class HeldJoints:
     joints: Joints  # m, leading axis G
     covariance: Float[Array, "G 18 18"]  # of `Joints.flat`, m^2, the calibration's part included
     calibration: Float[Array, "G 18 18"]  # that part: 0 where the calibration has no covariance
-    moments: Int[np.ndarray, " G"]  # of each the one nearest to the mean: the one to be shown
+    frames: Int[np.ndarray, " G"]  # of each the one nearest to the mean: the one to be shown
 
 
 def held_joints(
@@ -47,13 +47,13 @@ def held_joints(
     """
     with jax.enable_x64(True):
         mean, covariance, weights = _held_means(*frames_of(following, holds))
-        moments = np.array([middle_moment(hold, own) for hold, own in zip(holds, weights)], int)
+        frames = np.array([middle_frame(hold, own) for hold, own in zip(holds, weights)], int)
         cameras = np.zeros_like(covariance)
         if camera_covariance is not None:
-            for i, (hold, moment) in enumerate(zip(holds, moments)):
-                by = np.asarray(by_calibration(rig, pixels_of(rig, following, hold, int(moment))))
+            for i, (hold, frame) in enumerate(zip(holds, frames)):
+                by = np.asarray(by_calibration(rig, pixels_of(rig, following, hold, int(frame))))
                 cameras[i] = by @ camera_covariance @ by.T
-        return HeldJoints(*over_lines(_all_joints, mean, covariance, cameras), moments)
+        return HeldJoints(*over_lines(_all_joints, mean, covariance, cameras), frames)
 
 
 def _held_means(*frames: np.ndarray) -> tuple[np.ndarray, ...]:

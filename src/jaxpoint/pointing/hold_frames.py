@@ -29,7 +29,7 @@ _OPTIONS = {**CPU_OPTIONS, "xla_backend_optimization_level": 1}
 
 
 class HoldPixels(eqx.Module):
-    """What C cameras saw of one arm and its head at one moment; hidden pixels never matter."""
+    """What C cameras saw of one arm and its head in one frame; hidden pixels never matter."""
 
     arm: AbstractArmPixels
     head: Float[AnyArray, "C 2"]  # px
@@ -61,17 +61,17 @@ def frames_of(
 ) -> tuple[Float[np.ndarray, "G F 12"], Float[np.ndarray, "G F 12 12"], Bool[np.ndarray, "G F"]]:
     """Head, elbow, wrist and tip (m) of every frame of G holds, with the covariance of measuring; padded.
 
-    Of a longer hold `FRAMES` moments spread over it are taken.
+    Of a longer hold `FRAMES` frames spread over it are taken.
     """
-    size = FEW if max(len(hold.moments) for hold in holds) <= FEW else FRAMES
+    size = FEW if max(len(hold.frames) for hold in holds) <= FEW else FRAMES
     values = np.zeros((len(holds), size, NUMBERS))
     covariance = np.zeros((len(holds), size, NUMBERS, NUMBERS))
     seen = np.zeros((len(holds), size), bool)
     heads = following.tracking.heads
     for i, hold in enumerate(holds):
-        moments = hold.moments[_spread(len(hold.moments))]
-        arms = [arm_at(following, hold, int(moment)) for moment in moments]
-        head, sigma = heads.positions[moments, hold.person], heads.sigma[moments, hold.person]
+        frames = hold.frames[_spread(len(hold.frames))]
+        arms = [arm_at(following, hold, int(frame)) for frame in frames]
+        head, sigma = heads.positions[frames, hold.person], heads.sigma[frames, hold.person]
         rest = [np.concatenate([arm.axis.far, arm.axis.near, arm.tip]) for arm in arms]
         values[i, : len(arms)] = np.concatenate([head, rest], axis=1)
         covariance[i, : len(arms)] = _covariances(arms, sigma)
@@ -79,30 +79,30 @@ def frames_of(
     return values, covariance, seen
 
 
-def arm_at(following: Following, hold: Hold, moment: int) -> PointingArm:
-    """The arm that was measured at a moment of a hold."""
-    arm = following.arms[moment, hold.person]
-    assert arm is not None, "a hold has only moments with an arm"
+def arm_at(following: Following, hold: Hold, frame: int) -> PointingArm:
+    """The arm that was measured in a frame of a hold."""
+    arm = following.arms[frame, hold.person]
+    assert arm is not None, "a hold has only frames with an arm"
     return arm
 
 
-def middle_moment(hold: Hold, weights: Float[np.ndarray, " F"]) -> int:
-    """The moment of a hold that lies nearest to its mean: the one to be shown."""
-    chosen = _spread(len(hold.moments))
-    return int(hold.moments[chosen][np.argmax(weights[: len(chosen)])])
+def middle_frame(hold: Hold, weights: Float[np.ndarray, " F"]) -> int:
+    """The frame of a hold that lies nearest to its mean: the one to be shown."""
+    chosen = _spread(len(hold.frames))
+    return int(hold.frames[chosen][np.argmax(weights[: len(chosen)])])
 
 
-def pixels_of(rig: CameraRig, following: Following, hold: Hold, moment: int) -> HoldPixels:
-    """What all cameras saw of the arm at one moment of a hold."""
-    head = following.tracking.heads.positions[moment, hold.person]
-    head_seen = following.sightings[moment, hold.person] >= 0
+def pixels_of(rig: CameraRig, following: Following, hold: Hold, frame: int) -> HoldPixels:
+    """What all cameras saw of the arm in one frame of a hold."""
+    head = following.tracking.heads.positions[frame, hold.person]
+    head_seen = following.sightings[frame, hold.person] >= 0
     if head_seen.sum() < 2:
         head_seen = np.asarray(rig.depth(head)) > 0
-    return HoldPixels(arm_at(following, hold, moment).pixels, np.asarray(rig.project(head)), head_seen)
+    return HoldPixels(arm_at(following, hold, frame).pixels, np.asarray(rig.project(head)), head_seen)
 
 
 def _spread(count: int) -> Int[np.ndarray, " some"]:
-    """Which of the moments of a hold are used: `FRAMES` at most, evenly spread."""
+    """Which of the frames of a hold are used: `FRAMES` at most, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(FRAMES, count)).astype(int))
 
 

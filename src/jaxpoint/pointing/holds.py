@@ -15,10 +15,10 @@ from jaxpoint.config.point import GestureSettings
 
 @dataclass(frozen=True)
 class ArmTrack:
-    """One person's arm in the F moments in which it was measured."""
+    """One person's arm in the F frames in which it was measured."""
 
     person: int  # place in the head tracks
-    moments: Int[np.ndarray, " F"]  # rising
+    frames: Int[np.ndarray, " F"]  # rising
     times: Float[np.ndarray, " F"]  # s
     tips: Float[np.ndarray, "F 3"]  # m
     directions: Float[np.ndarray, "F 3"]  # unit
@@ -28,21 +28,21 @@ class ArmTrack:
 
 @dataclass(frozen=True)
 class Hold:
-    """Moments in which one arm is held; of those between, the measurements disagree or are missing."""
+    """Frames in which one arm is held; of those between, the measurements disagree or are missing."""
 
     person: int  # place in the head tracks
-    moments: Int[np.ndarray, " F"]  # rising
+    frames: Int[np.ndarray, " F"]  # rising
     times: Float[np.ndarray, " F"]  # s
     views: int  # median number of views that are used
 
     @property
     def start_s(self) -> float:
-        """First moment."""
+        """First frame."""
         return float(self.times[0])
 
     @property
     def end_s(self) -> float:
-        """Last moment."""
+        """Last frame."""
         return float(self.times[-1])
 
     @property
@@ -60,14 +60,14 @@ def arm_tracks(following: Following) -> list[ArmTrack]:
             ((at, arm) for (at, who), arm in following.arms.items() if who == person and arm is not None),
             key=lambda pair: pair[0],
         )
-        moments = np.array([at for at, _ in found], int)
+        frames = np.array([at for at, _ in found], int)
         arms = [arm for _, arm in found]
-        stature = heads.positions[moments, person, 2] + HEAD_M / 2
+        stature = heads.positions[frames, person, 2] + HEAD_M / 2
         tracks.append(
             ArmTrack(
                 person,
-                moments,
-                heads.times[moments],
+                frames,
+                heads.times[frames],
                 np.array([arm.tip for arm in arms]).reshape(-1, 3),
                 np.array([arm.direction for arm in arms]).reshape(-1, 3),
                 np.array([arm.stretch for arm in arms]) / np.maximum(stature, 1.0),
@@ -80,8 +80,8 @@ def arm_tracks(following: Following) -> list[ArmTrack]:
 def find_holds(tracks: Iterable[ArmTrack], settings: GestureSettings) -> list[Hold]:
     """All gestures of everybody, in order of time.
 
-    A hold is a set of moments around one of them whose tips and directions are like its own, without a long gap. The
-    set that most views speak for is taken first, and nothing right before or after it: single moments in which another
+    A hold is a set of frames around one of them whose tips and directions are like its own, without a long gap. The
+    set that most views speak for is taken first, and nothing right before or after it: single frames in which another
     limb was measured do not break a hold, and an elbow that is taken for a hand as the arm comes up is no gesture.
     """
     holds = []
@@ -107,7 +107,7 @@ def _holds(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSetti
     free = free.copy()
     while free.any():
         members = _most_agreed(track, free, settings)
-        # A moment counts for as long as until the next one, so that a hold of three frames lasts three of them.
+        # A frame counts for as long as until the next one, so that a hold of three frames lasts three of them.
         period = float(np.median(np.diff(track.times))) if len(track.times) > 1 else 0.0
         lasts = track.times[members[-1]] - track.times[members[0]] + period
         if len(members) >= settings.min_frames and lasts >= settings.min_hold_s:
@@ -121,13 +121,13 @@ def _holds(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSetti
 
 def _hold(track: ArmTrack, members: Int[np.ndarray, " M"]) -> Hold:
     views = int(np.median(track.views[members]))
-    return Hold(track.person, track.moments[members], track.times[members], views)
+    return Hold(track.person, track.frames[members], track.times[members], views)
 
 
 def _most_agreed(track: ArmTrack, free: Bool[np.ndarray, " F"], settings: GestureSettings) -> Int[np.ndarray, " M"]:
-    """The largest set of moments around one of them that agree with it; weighed by their views.
+    """The largest set of frames around one of them that agree with it; weighed by their views.
 
-    Empty only where no moment is free: an arm of which no view is used still makes a set.
+    Empty only where no frame is free: an arm of which no view is used still makes a set.
     """
     best, most = np.zeros(0, int), -1
     for seed in np.flatnonzero(free):

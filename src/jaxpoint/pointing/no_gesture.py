@@ -10,17 +10,17 @@ from jaxpoint.config.point import GestureSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.pointing.holds import ArmTrack, find_holds
 
-SELDOM = 0.2  # of the moments of followed people with a measured arm; below, arms are missed rather than at rest
+SELDOM = 0.2  # of the frames of followed people with a measured arm; below, arms are missed rather than at rest
 AT_REST = 0.17  # of the stature, the stretch that hanging arms reach: less must not be asked for
 
 
 def no_gesture(
-    moments: int, following: Following, tracks: Sequence[ArmTrack], settings: GestureSettings
+    frames: int, following: Following, tracks: Sequence[ArmTrack], settings: GestureSettings
 ) -> InsufficientDataError:
     """The cause: nobody followed, hardly an arm measured, none stretched far enough, or none held long enough."""
-    found = f"No gesture was found in {moments} moments"
+    found = f"No gesture was found in {frames} frames"
     present = int(following.tracking.heads.present.sum())
-    shown = sum(len(track.moments) for track in tracks)
+    shown = sum(len(track.frames) for track in tracks)
     if not present:
         return InsufficientDataError(
             f"{found}: nobody was followed in the room, as no head was seen by two cameras for long enough; `jaxpoint "

@@ -27,7 +27,7 @@ class SessionAnswers:
     """What was pointed at in a session."""
 
     answers: tuple[Answer, ...]
-    moments: tuple[int, ...]  # of each the place of the moment shown
+    frames: tuple[int, ...]  # of each the place of the frame shown
     people: tuple[int, ...]  # of each the place of the person in the head tracks
     scene: ObjectScene
     notes: tuple[str, ...]
@@ -97,7 +97,7 @@ def answer_gestures(
             hypotheses,
             scene,
             heads.people.tolist(),
-            heads.frame_ids[held.moments].tolist(),
+            heads.frame_ids[held.frames].tolist(),
             evidence=evidence_of(said, scene.objects) if words else None,
             words=[[word.text for word in own] for own in said],
             known_errors=camera_covariance is not None,
@@ -105,7 +105,7 @@ def answer_gestures(
     if all(answer.surface is None for answer in found):
         raise _outside(found, scene)
     notes = (*notes, *_notes(scene, camera_covariance is not None))
-    where = tuple(int(moment) for moment in held.moments), tuple(hold.person for hold in holds)
+    where = tuple(int(frame) for frame in held.frames), tuple(hold.person for hold in holds)
     return SessionAnswers(tuple(found), *where, scene, notes)
 
 

@@ -34,10 +34,10 @@ def room_scene(pointed: SessionAnswers, rig: CameraRig) -> RoomScene:
     return RoomScene(low, high, pointed.scene.objects.outlines, np.asarray(rig.positions), rig.names)
 
 
-def images_of(session: Session, moments: Sequence[int]) -> list[list[Image | None]]:
-    """The image of every camera (outer) at some moments (inner); None where it has none."""
-    found = [dict(session.images(camera, moments)) for camera in range(len(session.names))]
-    return [[own.get(moment) for moment in moments] for own in found]
+def images_of(session: Session, frames: Sequence[int]) -> list[list[Image | None]]:
+    """The image of every camera (outer) in some frames (inner); None where it has none."""
+    found = [dict(session.images(camera, frames)) for camera in range(len(session.names))]
+    return [[own.get(frame) for frame in frames] for own in found]
 
 
 def gestures_shown(
@@ -54,7 +54,7 @@ def gestures_shown(
         session: with its calibration.
         following: the arms.
         pointed: the answers.
-        images: of every camera (outer) at the moment of each gesture, as `images_of` gives them.
+        images: of every camera (outer) in the frame of each gesture, as `images_of` gives them.
         truth: what is meant, by the gesture's number, where it is known.
         missing: takes a sentence for each picture that could not be made.
     """
@@ -64,7 +64,7 @@ def gestures_shown(
     for i, answer in enumerate(pointed.answers):
         sheet = None
         with extra(f"the picture of gesture {answer.number}", [] if missing is None else missing):
-            arm = following.arms.get((pointed.moments[i], pointed.people[i]))
+            arm = following.arms.get((pointed.frames[i], pointed.people[i]))
             sheet = _sheet(session.rig, answer, arm, [own[i] for own in images], faces)
         shown.append(_shown(answer, sheet, None if truth is None else truth.get(answer.number, "")))
     return shown
@@ -73,7 +73,7 @@ def gestures_shown(
 def _sheet(
     rig: CameraRig, answer: Answer, arm: PointingArm | None, images: Sequence[Image | None], faces: Mapping[str, list]
 ) -> np.ndarray | None:
-    """All views, red, green, blue; None where no camera has an image: landmarks may be given of such moments too."""
+    """All views, red, green, blue; None where no camera has an image: landmarks may be given of such frames too."""
     views = [_view(rig, camera, image, answer, arm, faces) for camera, image in enumerate(images) if image is not None]
     return pointing_sheet(views)[..., ::-1] if views else None
 
@@ -96,7 +96,7 @@ def _shown(answer: Answer, sheet: np.ndarray | None, meant: str | None) -> Gestu
         sentence=text[0].upper() + text[1:] + ".",
         row=row,
         sheet=sheet,
-        caption=f"Every camera at {answer.time_s:.2f} s (moment {answer.frame}).",
+        caption=f"Every camera at {answer.time_s:.2f} s (frame {answer.frame}).",
         scene=_scene(answer),
         chances=answer.probabilities[:6],
         line=_line(answer),

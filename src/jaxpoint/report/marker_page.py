@@ -69,7 +69,7 @@ def write_marker_report(
 
 
 def _tiles(figures: Mapping[str, Any], track: figures_marker.TipTrack | None) -> list[tuple[str, str]]:
-    tiles = [(str(figures["moments"]), "moments"), (str(len(figures["cameras"])), "cameras")]
+    tiles = [(str(figures["moments"]), "frames"), (str(len(figures["cameras"])), "cameras")]
     if track is None:
         return [*tiles, ("–", "tips in the room")]
     tiles.append((str(int(track.found.sum())), "tips in the room"))
@@ -87,11 +87,11 @@ def _cameras(figures: Mapping[str, Any]) -> tables.Table:
 
 
 def _others(figures: Mapping[str, Any]) -> str:
-    """Why moments have no tip in the room."""
+    """Why frames have no tip in the room."""
     room = figures["in_room"]
     if room is None:
         return "Tips in the room need a calibration (--calibration) and two cameras or more."
-    return f"Moments without a tip in the room: {tables.counted_reasons(room['reasons'])}." if room["reasons"] else ""
+    return f"Frames without a tip in the room: {tables.counted_reasons(room['reasons'])}." if room["reasons"] else ""
 
 
 def _swatch(model: Mapping[str, float]) -> str:

@@ -32,31 +32,31 @@ def track_of(session: Session, tips: Sequence[MarkerTip]) -> TipTrack:
 def marker_sheets(
     session: Session, markers: Sequence[MarkerViews], tips: Sequence[MarkerTip] | None
 ) -> list[tuple[str, UInt8[np.ndarray, "H W 3"]]]:
-    """A caption and a sheet of all cameras (red, green, blue) for the moments that most views show."""
+    """A caption and a sheet of all cameras (red, green, blue) for the frames that most views show."""
     chosen = well_apart(_worth(markers, tips))
     images = [images_of(session, camera, chosen) for camera in range(len(session.names))]
     pictures = []
-    for place, moment in enumerate(chosen):
-        tip = None if tips is None else tips[moment]
+    for place, frame in enumerate(chosen):
+        tip = None if tips is None else tips[frame]
         cells = [
-            _view(session, own, camera, moment, image, tip)
+            _view(session, own, camera, frame, image, tip)
             for camera, own in enumerate(markers)
             if (image := images[camera][place]) is not None
         ]
         if cells:
-            pictures.append((_caption(session, moment, tip), contact_sheet(cells, columns=3)[..., ::-1]))
+            pictures.append((_caption(session, frame, tip), contact_sheet(cells, columns=3)[..., ::-1]))
     return pictures
 
 
 def _worth(markers: Sequence[MarkerViews], tips: Sequence[MarkerTip] | None) -> np.ndarray:
-    """Of every moment: how many views show the marker, those that agree on it in the room first."""
-    shown = np.array([[len(own.of(moment)) > 0 for moment in range(len(own.reasons))] for own in markers]).sum(axis=0)
+    """Of every frame: how many views show the marker, those that agree on it in the room first."""
+    shown = np.array([[len(own.of(frame)) > 0 for frame in range(len(own.reasons))] for own in markers]).sum(axis=0)
     agree = 0 if tips is None else 100 * np.array([len(tip.members) for tip in tips])
     return (shown + agree).astype(float)
 
 
-def _caption(session: Session, moment: int, tip: MarkerTip | None) -> str:
-    text = f"Moment {session.moments[moment]}, {session.times[moment]:.2f} s"
+def _caption(session: Session, frame: int, tip: MarkerTip | None) -> str:
+    text = f"Frame {session.frame_ids[frame]}, {session.times[frame]:.2f} s"
     if tip is None:
         return text
     if not tip.found:
@@ -67,12 +67,12 @@ def _caption(session: Session, moment: int, tip: MarkerTip | None) -> str:
 
 
 def _view(
-    session: Session, own: MarkerViews, camera: int, moment: int, image: np.ndarray, tip: MarkerTip | None
+    session: Session, own: MarkerViews, camera: int, frame: int, image: np.ndarray, tip: MarkerTip | None
 ) -> PersonView:
-    title = f"{session.names[camera]}, {session.moments[moment]}"
-    ends = ends_of(own, moment, camera, tip)
+    title = f"{session.names[camera]}, {session.frame_ids[frame]}"
+    ends = ends_of(own, frame, camera, tip)
     if ends is None:
-        return PersonView(image, title, reason=why(own, moment).replace("_", " "))
+        return PersonView(image, title, reason=why(own, frame).replace("_", " "))
     place, far, near = ends
     part, corner = _around(image, own.centroid[place])
     end, base = (tuple((pixel - corner).tolist()) for pixel in (far, near))

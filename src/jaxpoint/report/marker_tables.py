@@ -25,17 +25,17 @@ TIP_COLUMNS = (
 
 
 def views_table(session: Session, markers: Sequence[MarkerViews], tips: Sequence[MarkerTip] | None) -> dict[str, list]:
-    """Every moment of every camera: the marker, or why there is none.
+    """Every frame of every camera: the marker, or why there is none.
 
     `counts` is 1 where the view is used for the marker in the room; where it is not, the largest place of the marker's
     colour is given.
     """
     lines = []
-    for moment, (frame, time) in enumerate(zip(session.moments.tolist(), session.times.tolist())):
-        tip = None if tips is None else tips[moment]
+    for frame, (frame_id, time) in enumerate(zip(session.frame_ids.tolist(), session.times.tolist())):
+        tip = None if tips is None else tips[frame]
         for camera, (name, own) in enumerate(zip(session.names, markers)):
-            line = {"frame": frame, "time_s": time, "camera": name, "reason": why(own, moment)}
-            ends = ends_of(own, moment, camera, tip)
+            line = {"frame": frame_id, "time_s": time, "camera": name, "reason": why(own, frame)}
+            ends = ends_of(own, frame, camera, tip)
             if ends is not None:
                 line.update(_columns(own, camera, ends, tip))
             lines.append(line)
@@ -43,10 +43,10 @@ def views_table(session: Session, markers: Sequence[MarkerViews], tips: Sequence
 
 
 def room_table(session: Session, tips: Sequence[MarkerTip]) -> dict[str, list]:
-    """Every moment: the marker in the room, or why it is not known."""
+    """Every frame: the marker in the room, or why it is not known."""
     lines = []
-    for frame, time, tip in zip(session.moments.tolist(), session.times.tolist(), tips):
-        line: dict[str, Any] = {"frame": frame, "time_s": time, "reason": tip.reason.name.lower()}
+    for frame_id, time, tip in zip(session.frame_ids.tolist(), session.times.tolist(), tips):
+        line: dict[str, Any] = {"frame": frame_id, "time_s": time, "reason": tip.reason.name.lower()}
         line["views"] = len(tip.members)
         if tip.found:
             line["spread_m"] = tip.spread
@@ -59,17 +59,17 @@ def room_table(session: Session, tips: Sequence[MarkerTip]) -> dict[str, list]:
     return {column: [line.get(column) for line in lines] for column in TIP_COLUMNS}
 
 
-def why(own: MarkerViews, moment: int) -> str:
-    """In a word: `found`, or why a camera does not show the marker at a moment."""
-    frame = FrameReason(int(own.reasons[moment]))
-    if frame != FrameReason.PERSON:
-        return frame.name.lower()
-    return MarkerReason(int(own.markers[moment])).name.lower()
+def why(own: MarkerViews, frame: int) -> str:
+    """In a word: `found`, or why a camera does not show the marker in a frame."""
+    reason = FrameReason(int(own.reasons[frame]))
+    if reason != FrameReason.PERSON:
+        return reason.name.lower()
+    return MarkerReason(int(own.markers[frame])).name.lower()
 
 
-def ends_of(own: MarkerViews, moment: int, camera: int, tip: MarkerTip | None) -> tuple[int, Pixel, Pixel] | None:
-    """Which place of a camera is the marker at a moment, its tip and its base, px; None where it shows none."""
-    places = own.of(moment)
+def ends_of(own: MarkerViews, frame: int, camera: int, tip: MarkerTip | None) -> tuple[int, Pixel, Pixel] | None:
+    """Which place of a camera is the marker in a frame, its tip and its base, px; None where it shows none."""
+    places = own.of(frame)
     if not len(places):
         return None
     place = places[0] if tip is None else tip.members.get(camera, places[0])

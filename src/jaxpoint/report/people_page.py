@@ -69,7 +69,7 @@ def write_people_report(
 def _tiles(figures: Mapping[str, Any]) -> list[tuple[str, str]]:
     arms = sum(person["arms"] for person in figures["people"])
     return [
-        (str(figures["moments"]), "moments"),
+        (str(figures["moments"]), "frames"),
         (str(len(figures["cameras"])), "cameras"),
         (str(len(figures["people"])) if figures["followed"] else "–", "people followed"),
         (str(arms) if figures["followed"] else "–", "arms measured"),
@@ -91,4 +91,4 @@ def _cameras(figures: Mapping[str, Any]) -> tables.Table:
 
 def _people(figures: Mapping[str, Any]) -> tables.Table:
     rows = [[str(p["person"]), str(p["moments"]), str(p["arms"])] for p in figures["people"]]
-    return tables.Table(["person", "moments followed", "arm measured in"], rows)
+    return tables.Table(["person", "frames followed", "arm measured in"], rows)

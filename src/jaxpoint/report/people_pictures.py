@@ -1,4 +1,4 @@
-"""Moments of a session as pictures: what was found, drawn into every camera's image."""
+"""Frames of a session as pictures: what was found, drawn into every camera's image."""
 
 from __future__ import annotations
 
@@ -20,58 +20,58 @@ MOMENTS = 6  # shown
 def sheets(
     session: Session, views: Sequence[AbstractCameraEvidence], following: Following | None
 ) -> list[tuple[str, UInt8[np.ndarray, "H W 3"]]]:
-    """A caption and a sheet of all cameras (red, green, blue) for a few telling moments."""
+    """A caption and a sheet of all cameras (red, green, blue) for a few telling frames."""
     chosen = telling_moments(views, following)
     images = [images_of(session, camera, chosen) for camera in range(len(session.names))]
     pictures = []
-    for place, moment in enumerate(chosen):
+    for place, frame in enumerate(chosen):
         cells = [
-            _view(session, view, following, camera, moment, image)
+            _view(session, view, following, camera, frame, image)
             for camera, view in enumerate(views)
             if (image := images[camera][place]) is not None
         ]
         if cells:
             sheet = contact_sheet(cells, columns=3, zoom=following is not None)
-            pictures.append((_caption(session, following, moment), sheet[..., ::-1]))
+            pictures.append((_caption(session, following, frame), sheet[..., ::-1]))
     return pictures
 
 
 def telling_moments(
     views: Sequence[AbstractCameraEvidence], following: Following | None, count: int = MOMENTS
 ) -> list[int]:
-    """Moments with an arm stretched out far, well apart from each other; without arms, those seen by most cameras."""
+    """Frames with an arm stretched out far, well apart from each other; without arms, those seen by most cameras."""
     worth = np.sum([view.reasons == FrameReason.PERSON for view in views], axis=0).astype(float)
     if following is not None:
-        for (moment, _), arm in following.arms.items():
-            worth[moment] += 0.0 if arm is None else 10.0 * arm.stretch
+        for (frame, _), arm in following.arms.items():
+            worth[frame] += 0.0 if arm is None else 10.0 * arm.stretch
     return well_apart(worth, count)
 
 
 def well_apart(worth: Float[np.ndarray, " F"], count: int = MOMENTS) -> list[int]:
-    """The moments that are worth most, and anything, well apart from each other; in their order."""
-    moments = len(worth)
+    """The frames that are worth most, and anything, well apart from each other; in their order."""
+    frames = len(worth)
     chosen: list[int] = []
-    apart = max(1, moments // (2 * count))
-    for moment in np.argsort(-worth, kind="stable"):
-        if worth[moment] > 0 and all(abs(moment - other) >= apart for other in chosen):
-            chosen.append(int(moment))
+    apart = max(1, frames // (2 * count))
+    for frame in np.argsort(-worth, kind="stable"):
+        if worth[frame] > 0 and all(abs(frame - other) >= apart for other in chosen):
+            chosen.append(int(frame))
         if len(chosen) == count:
             break
     return sorted(chosen)
 
 
-def images_of(session: Session, camera: int, moments: Sequence[int]) -> list[np.ndarray | None]:
-    """One camera's images of some moments; None where it has none."""
-    found = dict(session.images(camera, moments))
-    return [found.get(moment) for moment in moments]
+def images_of(session: Session, camera: int, frames: Sequence[int]) -> list[np.ndarray | None]:
+    """One camera's images of some frames; None where it has none."""
+    found = dict(session.images(camera, frames))
+    return [found.get(frame) for frame in frames]
 
 
-def _caption(session: Session, following: Following | None, moment: int) -> str:
-    text = f"Moment {session.moments[moment]}, {session.times[moment]:.2f} s"
+def _caption(session: Session, following: Following | None, frame: int) -> str:
+    text = f"Frame {session.frame_ids[frame]}, {session.times[frame]:.2f} s"
     if following is None:
         return text
     people = following.tracking.heads.people
-    arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == moment and arm is not None]
+    arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == frame and arm is not None]
     found = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
     return "; ".join([text, *found])
 
@@ -81,20 +81,20 @@ def _view(
     view: AbstractCameraEvidence,
     following: Following | None,
     camera: int,
-    moment: int,
+    frame: int,
     image: np.ndarray,
 ) -> PersonView:
-    own = view.of(moment)
+    own = view.of(frame)
     masks, heads = [], []
     for sighting in own:
         if (mask := _mask(view, sighting)) is not None:
             masks.append(mask)
         if view.head_found[sighting]:
             heads.append((*view.head[sighting].tolist(), float(view.head_height[sighting])))
-    title = f"{session.names[camera]}, {session.moments[moment]}"
-    reason = FrameReason(int(view.reasons[moment]))
+    title = f"{session.names[camera]}, {session.frame_ids[frame]}"
+    reason = FrameReason(int(view.reasons[frame]))
     text = "" if reason == FrameReason.PERSON else reason.name.lower().replace("_", " ")
-    arm = _arm_of(following, moment)
+    arm = _arm_of(following, frame)
     if arm is None:
         return PersonView(image, title, masks, heads, reason=text)
     seen = arm.views[camera]
@@ -104,11 +104,11 @@ def _view(
     return PersonView(image, title, masks, heads, axis=(base, tip), tip=tip, base=base, reason=text)
 
 
-def _arm_of(following: Following | None, moment: int) -> PointingArm | None:
-    """The arm of the person who stretches it out farthest at a moment."""
+def _arm_of(following: Following | None, frame: int) -> PointingArm | None:
+    """The arm of the person who stretches it out farthest in a frame."""
     if following is None:
         return None
-    arms = [arm for (at, _), arm in following.arms.items() if at == moment and arm is not None]
+    arms = [arm for (at, _), arm in following.arms.items() if at == frame and arm is not None]
     return max(arms, key=lambda arm: arm.stretch, default=None)
 
 

@@ -27,39 +27,39 @@ ARM_COLUMNS = (
 
 
 def detections_table(session: Session, views: Sequence[AbstractCameraEvidence], following: Following | None) -> Columns:
-    """Every moment of every camera: a line for each person seen, or one with the reason why there is none.
+    """Every frame of every camera: a line for each person seen, or one with the reason why there is none.
 
     `person` is the id of the head track, empty where a sighting belongs to none.
     """
     lines: list[dict[str, Any]] = []
     owners = _owners(views, following)
     edges = [view.moving_edges for view in views]
-    for moment, (frame, time) in enumerate(zip(session.moments.tolist(), session.times.tolist())):
+    for frame, (frame_id, time) in enumerate(zip(session.frame_ids.tolist(), session.times.tolist())):
         for camera, (name, view) in enumerate(zip(session.names, views)):
-            start = {"frame": frame, "time_s": time, "camera": name, "edges": int(edges[camera][moment])}
-            reason = FrameReason(int(view.reasons[moment]))
-            sightings = view.of(moment)
+            start = {"frame": frame_id, "time_s": time, "camera": name, "edges": int(edges[camera][frame])}
+            reason = FrameReason(int(view.reasons[frame]))
+            sightings = view.of(frame)
             if not sightings:
                 lines.append({**start, "reason": reason.name.lower()})
             for sighting in sightings:
                 person = owners[camera].get(sighting)
-                why = _why(reason, bool(view.colourless[moment]))
+                why = _why(reason, bool(view.colourless[frame]))
                 line = {**start, "reason": why, **_sighting_columns(view, sighting)}
                 if following is not None and person is not None:
                     line["person"] = int(following.tracking.heads.people[person])
-                    line.update(_arm_columns(following.arms.get((moment, person)), camera))
+                    line.update(_arm_columns(following.arms.get((frame, person)), camera))
                 lines.append(line)
     return _columns(lines, DETECTION_COLUMNS)
 
 
 def arms_table(session: Session, following: Following) -> Columns:
-    """Every moment of every person: the arm in the room, or why there is none."""
+    """Every frame of every person: the arm in the room, or why there is none."""
     lines = []
     heads = following.tracking.heads
-    for (moment, person), arm in sorted(following.arms.items()):
+    for (frame, person), arm in sorted(following.arms.items()):
         line: dict[str, Any] = {
-            "frame": int(session.moments[moment]),
-            "time_s": float(session.times[moment]),
+            "frame": int(session.frame_ids[frame]),
+            "time_s": float(session.times[frame]),
             "person": int(heads.people[person]),
             "reason": "found" if arm is not None else "no_two_views_agree",
             "views": 0,
@@ -119,8 +119,8 @@ def _owners(views: Sequence[AbstractCameraEvidence], following: Following | None
     """Whose each sighting is, by camera."""
     owners: list[dict[int, int]] = [{} for _ in views]
     if following is not None:
-        for moment, person, camera in np.argwhere(following.sightings >= 0):
-            owners[camera].setdefault(int(following.sightings[moment, person, camera]), int(person))
+        for frame, person, camera in np.argwhere(following.sightings >= 0):
+            owners[camera].setdefault(int(following.sightings[frame, person, camera]), int(person))
     return owners
 
 

@@ -118,7 +118,7 @@ def test_more_frames_without_measurements_are_the_same_time():
 
 @pytest.fixture(scope="module")
 def squares():
-    """Normalised squared errors of 400 trajectories at every frame, in the mean, with their degrees of freedom."""
+    """Normalised squared errors of 400 trajectories in every frame, in the mean, with their degrees of freedom."""
     rng = np.random.default_rng(5)
     found = []
     for _ in range(TRIALS):

@@ -21,13 +21,13 @@ def tracked(meeting, **options):
 
 
 def whose(meeting, heads):
-    """For everybody found, the person nearest at each moment (F, N); -1 where nobody is within 0.3 m."""
+    """For everybody found, the person nearest in each frame (F, N); -1 where nobody is within 0.3 m."""
     gaps = np.linalg.norm(heads.positions[:, :, None] - meeting.places[:, None], axis=-1)
     return np.where(heads.present & (gaps.min(axis=2) < 0.3), gaps.argmin(axis=2), -1)
 
 
 def apart(meeting):
-    """Moments at which it is plain who is who."""
+    """Frames at which it is plain who is who."""
     return np.linalg.norm(meeting.places[:, 0] - meeting.places[:, 1], axis=1) > 0.8
 
 

@@ -55,8 +55,8 @@ def dropped(good: Path, bad: Path, camera: str, lost: Sequence[int] = (3, 4, 9))
     """Frames of the camera are lost, and the timestamps know it."""
     _respoilt(good, bad, camera, lambda images: [image for k, image in enumerate(images) if k not in lost])
     rows = read_timestamps(bad)
-    left = [(moment, time) for moment, _, time in rows[camera] if moment not in lost]
-    rows[camera] = [(moment, k, time) for k, (moment, time) in enumerate(left)]
+    left = [(frame, time) for frame, _, time in rows[camera] if frame not in lost]
+    rows[camera] = [(frame, k, time) for k, (frame, time) in enumerate(left)]
     write_timestamps(bad, rows)
     return bad
 
@@ -74,7 +74,7 @@ def drifting(good: Path, bad: Path, camera: str, rate: float = 1.01) -> Path:
     """The clock of the camera runs faster than the others'."""
     shutil.copytree(good, bad)
     rows = read_timestamps(bad)
-    rows[camera] = [(moment, k, rate * time) for moment, k, time in rows[camera]]
+    rows[camera] = [(frame, k, rate * time) for frame, k, time in rows[camera]]
     write_timestamps(bad, rows)
     return bad
 
@@ -152,11 +152,11 @@ def write_video(path: Path, images: Images, rate: float = RATE) -> None:
 
 
 def write_timestamps(folder: Path, rows: dict[str, list[tuple[int, int, float]]]) -> None:
-    """By camera: moment, position in the file, time in s."""
+    """By camera: frame, position in the file, time in s."""
     with (folder / "timestamps.csv").open("w", newline="") as file:
         table = csv.writer(file)
         table.writerow(("sync_index", "cam_id", "frame_index", "frame_time"))
-        table.writerows((moment, camera, k, time) for camera, own in rows.items() for moment, k, time in own)
+        table.writerows((frame, camera, k, time) for camera, own in rows.items() for frame, k, time in own)
 
 
 def read_timestamps(folder: Path) -> dict[str, list[tuple[int, int, float]]]:

@@ -75,8 +75,8 @@ def test_a_good_session_has_nothing_to_tell(good):
 @pytest.mark.parametrize(
     ("spoil", "note"),
     [
-        (bad.stops, f"Camera 'cam_1' stops early, with no frame at {FRAMES // 2} of {FRAMES} moments"),
-        (bad.dropped, f"Camera 'cam_1' has no frame in 3 of {FRAMES} moments"),
+        (bad.stops, f"Camera 'cam_1' stops early, with no image in {FRAMES // 2} of {FRAMES} frames"),
+        (bad.dropped, f"Camera 'cam_1' has no image in 3 of {FRAMES} frames"),
         (bad.shorter, f"'cam_1' has {FRAMES // 2} frames, others up to {FRAMES}"),
         (bad.other_rate, "unlike frame rates"),
     ],
@@ -96,10 +96,10 @@ def test_dropped_frames_leave_the_others_in_step(good, tmp_path):
     np.testing.assert_array_equal(np.flatnonzero(session.frame_index[:, 1] < 0), lost)
     source = open_frames(session.videos[1])
     kept = images(1)
-    for moment in (2, 5, 12):  # the same picture as in the good session, up to the compression
-        image = source.read(int(session.frame_index[moment, 1]))
-        assert np.abs(image.astype(int) - kept[moment]).mean() < 6
-        assert np.abs(image.astype(int) - kept[moment - 2]).mean() > 6
+    for frame in (2, 5, 12):  # the same picture as in the good session, up to the compression
+        image = source.read(int(session.frame_index[frame, 1]))
+        assert np.abs(image.astype(int) - kept[frame]).mean() < 6
+        assert np.abs(image.astype(int) - kept[frame - 2]).mean() > 6
 
 
 def test_a_drifting_clock_is_told(good, tmp_path):

@@ -73,31 +73,31 @@ def written(path, image, rng):
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    """The folder, and the labels of every image by (moment, camera)."""
+    """The folder, and the labels of every image by (frame, camera)."""
     folder, rng, rig = tmp_path_factory.mktemp("marked"), np.random.default_rng(4), rig_around()
     labels = {}
     for camera, room in enumerate(rooms()):
         for k in range(EMPTY):
             written(folder / "empty" / f"cam_{camera}" / f"{k:03d}.png", room, rng)
-        for moment, direction in enumerate(DIRECTIONS):
+        for frame, direction in enumerate(DIRECTIONS):
             image = room.copy()
             if direction is not None:
                 own = capsules.draw(pointing(direction)[0], rig, camera).labels
-                labels[moment, camera] = own
+                labels[frame, camera] = own
                 for label, colour in COLOURS.items():
                     image[own == label] = colour
-            written(folder / "videos" / f"cam_{camera}" / f"{10 + moment}.png", image, rng)
+            written(folder / "videos" / f"cam_{camera}" / f"{10 + frame}.png", image, rng)
     write_calibration_json(folder / "calibration.json", rig)
     return folder, labels
 
 
 @pytest.fixture(scope="module")
 def samples(session, tmp_path_factory):
-    """Clicks into the marker in the images of the first moment."""
+    """Clicks into the marker in the images of the first frame."""
     path = tmp_path_factory.mktemp("clicks") / "samples.csv"
     lines = ["camera,frame,x,y,radius_px"]
-    for (moment, camera), own in session[1].items():
-        if moment == 0 and (own == MARKER).any():
+    for (frame, camera), own in session[1].items():
+        if frame == 0 and (own == MARKER).any():
             y, x = np.argwhere(own == MARKER).mean(axis=0)
             lines.append(f"cam_{camera},10,{x:.0f},{y:.0f},{1.5 if camera else ''}")
     path.write_text("\n".join(lines))
@@ -140,7 +140,7 @@ def test_the_tip_is_found_in_the_room_and_every_line_has_its_reason(session, sam
         else:
             assert (own == MARKER).sum() < 12
     page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
-    assert "Moments without a tip in the room: 1 no view." in page
+    assert "Frames without a tip in the room: 1 no view." in page
     assert page.count("<svg") == 3
     assert page.count("<img") == 4
     # What was kept is used: the videos are not looked through again.
@@ -196,7 +196,7 @@ def test_grey_videos_are_refused(session, samples, tmp_path, capsys):
 def test_a_marker_that_views_show_and_the_room_does_not_is_a_failure():
     cameras = [{"found": count, "frames": 9, "reasons": {"no_colour": 9 - count}} for count in (3, 0)]
     figures = {"moments": 9, "cameras": cameras, "in_room": {"tips": 0, "reasons": {"one_view": 3, "no_view": 6}}}
-    assert "in any of 9 moments (3 one_view, 6 no_view), though 1 of 2 cameras show it in 3 images" in str(
+    assert "in any of 9 frames (3 one_view, 6 no_view), though 1 of 2 cameras show it in 3 images" in str(
         _failure(figures)
     )
     assert _failure({**figures, "in_room": {"tips": 1, "reasons": {}}}) is None
@@ -205,7 +205,7 @@ def test_a_marker_that_views_show_and_the_room_does_not_is_a_failure():
 
 
 def seen(rig, tip, along, length=LENGTH_M, person=(0.0, 0.0, 1.1), cameras=None, flipped=()):
-    """One moment of exact markers, as `cameras` see them; in those of `flipped` the far end is taken for the base."""
+    """One frame of exact markers, as `cameras` see them; in those of `flipped` the far end is taken for the base."""
     points = np.array([tip, tip - length * along, tip - length / 2 * along, person])
     pixels = np.asarray(rig.project(points))
     found = []

@@ -42,18 +42,18 @@ class GivenViews(AbstractCameraEvidence):
 def given(request):
     """The true joints of the session, as each camera would see them."""
     session, truth = request.session, true_joints()
-    frames = [place for place, frame in enumerate(session.moments) if frame in truth]
+    frames = [place for place, frame in enumerate(session.frame_ids) if frame in truth]
     pixels = {
         (place, name): np.asarray(session.rig.project(point))
         for place in frames
-        for name, point in truth[session.moments[place]].items()
+        for name, point in truth[session.frame_ids[place]].items()
     }
     views = []
     for camera, (width, height) in enumerate(session.sizes.tolist()):
         seen = [place for place in frames if ((pixels[place, "head"][camera] >= 0).all())]
         seen = [place for place in seen if (pixels[place, "head"][camera] < (width, height)).all()]
         heads = np.array([pixels[place, "head"][camera] for place in seen]).reshape(-1, 2)
-        reasons = np.full(len(session.moments), FrameReason.NOBODY, int)
+        reasons = np.full(len(session.frame_ids), FrameReason.NOBODY, int)
         reasons[seen] = FrameReason.PERSON
         people = [{name: pixels[place, joint][camera] for joint, name in NAMES.items()} for place in seen]
         box = np.concatenate([heads - 15, np.full((len(seen), 2), 100)], axis=1).astype(int)

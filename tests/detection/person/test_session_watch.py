@@ -57,17 +57,15 @@ def session(tmp_path_factory):
         room = cv2.resize(room, SIZE, interpolation=cv2.INTER_LINEAR)
         for k in range(EMPTY):
             written(folder / "empty" / f"cam_{camera}" / f"{k:03d}.png", room, rng)
-        for moment in range(MOMENTS):
+        for frame in range(MOMENTS):
             image = room.copy()
-            person = capsules.capsule_person((0.01 * (moment % 2), 0.0), POINTING, POINTING)
+            person = capsules.capsule_person((0.01 * (frame % 2), 0.0), POINTING, POINTING)
             own = capsules.draw(person, rig, camera).labels
             for label, colour in COLOURS.items():
                 image[own == label] = colour
-            written(folder / "videos" / f"cam_{camera}" / f"{10 + moment}.png", image, rng)
+            written(folder / "videos" / f"cam_{camera}" / f"{10 + frame}.png", image, rng)
     write_calibration_json(folder / "calibration.json", rig)
-    lines = [
-        f"{10 + moment},cam_{camera},{moment},{0.08 * moment:.2f}" for moment in range(MOMENTS) for camera in range(3)
-    ]
+    lines = [f"{10 + frame},cam_{camera},{frame},{0.08 * frame:.2f}" for frame in range(MOMENTS) for camera in range(3)]
     (folder / "timestamps.csv").write_text("\n".join(["sync_index,cam_id,frame_index,frame_time", *lines]))
     return folder
 
@@ -91,7 +89,7 @@ def test_a_session_becomes_tables(session, cache, tmp_path):
     seen = rows(tmp_path / "run" / "detections.csv")
     assert len(seen) == 3 * MOMENTS
     assert {row["reason"] for row in seen} == {"person"}
-    assert {row["frame"] for row in seen} == {str(10 + moment) for moment in range(MOMENTS)}
+    assert {row["frame"] for row in seen} == {str(10 + frame) for frame in range(MOMENTS)}
     arms = rows(tmp_path / "run" / "arms.csv")
     found = [row for row in arms if row["reason"] == "found"]
     assert len(found) >= MOMENTS - 2
@@ -184,7 +182,7 @@ def test_heads_that_nobody_could_be_followed_by_are_a_failure():
     failed = _failure(command, figures_of([5, 4]))
     assert failed is not None
     assert failed.exit_code == 4
-    assert "9 heads were seen by 2 of 2 cameras, and two must agree on one in 3 of 5 moments" in str(failed)
+    assert "9 heads were seen by 2 of 2 cameras, and two must agree on one in 3 of 5 frames" in str(failed)
     alone = str(_failure(command, figures_of([0, 5])))
     assert "5 heads were seen by 1 of 2 cameras" in alone
     assert "turn the views so that they overlap" in alone
@@ -249,7 +247,7 @@ def test_wrong_input_is_told_in_a_sentence_and_leaves_nothing(session, cache, tm
     assert not (tmp_path / "run").exists()
 
 
-def test_one_image_that_is_cut_off_costs_one_moment(session, cache, tmp_path):
+def test_one_image_that_is_cut_off_costs_one_frame(session, cache, tmp_path):
     torn = tmp_path / "torn"
     shutil.copytree(session, torn)
     (torn / "videos" / "cam_1" / f"{10 + 3}.png").write_bytes(b"")

@@ -38,10 +38,10 @@ def views():
     return watch(frames, 6, SIZE, watcher, notes=["a note"])
 
 
-def test_every_moment_has_its_reason(views):
+def test_every_frame_has_its_reason(views):
     wanted = [FrameReason.PERSON, FrameReason.PERSON, FrameReason.REPEATED, FrameReason.NO_IMAGE, FrameReason.PERSON]
     assert views.reasons.tolist() == [*wanted, FrameReason.NO_IMAGE]
-    assert [len(views.of(moment)) for moment in range(6)] == [1, 1, 0, 0, 1, 0]
+    assert [len(views.of(frame)) for frame in range(6)] == [1, 1, 0, 0, 1, 0]
 
 
 def test_the_crop_holds_the_person_and_nothing_else(views):

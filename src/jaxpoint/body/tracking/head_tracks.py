@@ -1,4 +1,4 @@
-"""What the tracker gives: where each person was at every frame, and why where nobody was found."""
+"""What the tracker gives: where each person was in every frame, and why where nobody was found."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def retime(
 
 
 def _slopes(times: Float[np.ndarray, " N"], places: Float[np.ndarray, "N 2"], gap: float) -> Float[np.ndarray, "N 2"]:
-    """Pixels per row at each frame: of the parabola through it and its neighbours, of one side beside a gap."""
+    """Pixels per row in each frame: of the parabola through it and its neighbours, of one side beside a gap."""
     steps = np.diff(times)[:, None]
     rise = np.diff(places, axis=0) / steps
     joined = steps <= gap

@@ -131,7 +131,7 @@ def detect_people(request: PeopleRequest, detector: str = AUTO) -> tuple[Abstrac
         FileFormatError, InsufficientDataError: as the detector.
     """
     found = tuple(detector_of(detector, request.landmarks)(request))
-    cameras, frames = len(request.session.names), len(request.session.moments)
+    cameras, frames = len(request.session.names), len(request.session.frame_ids)
     if len(found) != cameras or any(len(view.reasons) != frames for view in found):
         lengths = ", ".join(str(len(view.reasons)) for view in found) or "none"
         raise UsageError(

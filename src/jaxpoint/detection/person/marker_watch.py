@@ -56,15 +56,15 @@ def picked_pixels(session: Session, samples: Sequence[MarkerSample]) -> UInt8[np
     for camera in sorted({sample.camera for sample in samples}):
         own = [sample for sample in samples if sample.camera == camera]
         source = open_frames(session.videos[camera])
-        index = np.array([session.frame_index[sample.moment, camera] for sample in own])
-        for frame, image in source.stream(np.unique(index)):
+        index = np.array([session.frame_index[sample.frame, camera] for sample in own])
+        for place, image in source.stream(np.unique(index)):
             if is_grey(image):
                 raise InsufficientDataError(
-                    f"Camera '{session.names[camera]}' has no colour in frame {frame} (its channels are alike), and a "
+                    f"Camera '{session.names[camera]}' has no colour in frame {place} (its channels are alike), and a "
                     "marker is known by its hue; pick in the images of colour cameras."
                 )
             picked += [
-                disc(image, sample.x, sample.y, sample.radius_px) for sample, at in zip(own, index) if at == frame
+                disc(image, sample.x, sample.y, sample.radius_px) for sample, at in zip(own, index) if at == place
             ]
     return np.concatenate(picked)
 
@@ -144,8 +144,8 @@ def watch_camera(job: MarkerJob, advance: Advance) -> MarkerViews:
 
 
 def look_for_marker(
-    frames: Iterable[tuple[int, Image | None]],
-    moments: int,
+    images: Iterable[tuple[int, Image | None]],
+    frames: int,
     watcher: PersonWatch,
     model: MarkerModel,
     settings: MarkerSettings,
@@ -154,27 +154,27 @@ def look_for_marker(
     """Look for the marker in one camera's frames.
 
     Args:
-        frames: moment and image in their order; None, or a moment left out, where the camera has no frame.
-        moments: F.
+        images: frame and image in their order; None, or a frame left out, where the camera has no image.
+        frames: F.
         watcher: of people; fresh, for this camera.
         model: of the marker.
         settings: of the marker.
-        advance: called with moments done and to do.
+        advance: called with frames done and to do.
     """
-    reasons = np.full(moments, FrameReason.NO_IMAGE, int)
-    why = np.full(moments, MarkerReason.NO_COLOUR, int)
+    reasons = np.full(frames, FrameReason.NO_IMAGE, int)
+    why = np.full(frames, MarkerReason.NO_COLOUR, int)
     found: list[tuple] = []
-    for moment, image in frames:
+    for frame, image in images:
         if image is not None:
             look = watcher.look(image)
-            reasons[moment] = look.reason
-            places, why[moment] = _places(image, look, model, settings)
-            found += [(moment, *place) for place in places]
+            reasons[frame] = look.reason
+            places, why[frame] = _places(image, look, model, settings)
+            found += [(frame, *place) for place in places]
         if advance:
-            advance(moment + 1, moments)
-    moment, area = (np.array([one[i] for one in found], dtype=int) for i in (0, 1))
+            advance(frame + 1, frames)
+    frame, area = (np.array([one[i] for one in found], dtype=int) for i in (0, 1))
     centroid, tip, base, person = (np.array([one[i] for one in found], float).reshape(-1, 2) for i in (2, 3, 4, 5))
-    return MarkerViews(reasons, why, moment, area, centroid, tip, base, person)
+    return MarkerViews(reasons, why, frame, area, centroid, tip, base, person)
 
 
 def _places(image: Image, look: Look, model: MarkerModel, settings: MarkerSettings) -> tuple[list[tuple], MarkerReason]:
@@ -215,7 +215,7 @@ def _job(
     return MarkerJob(own, model, marker)
 
 
-_ARRAYS = ("reasons", "markers", "moment", "area", "centroid", "tip", "base", "person")
+_ARRAYS = ("reasons", "markers", "frame", "area", "centroid", "tip", "base", "person")
 
 
 def save_markers(path: Path, markers: MarkerViews) -> None:

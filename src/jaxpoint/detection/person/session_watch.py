@@ -210,34 +210,34 @@ def _grey_notes(name: str, views: SilhouetteViews) -> tuple[str, ...]:
 
 
 class CameraFrames:
-    """The frames of one camera by moment; what cannot be decoded leaves moments without one, and a note."""
+    """The images of one camera by frame; what cannot be decoded leaves frames without one, and a note."""
 
     def __init__(self, job: CameraJob, source: FrameSource):
         self._job, self._source = job, source
         self.notes: list[str] = []
 
     def read(self) -> Iterator[tuple[int, Image]]:
-        """Moment and image.
+        """Frame and image.
 
         Raises:
             FileFormatError: none can be decoded.
         """
-        moments = np.flatnonzero(self._job.frame_index >= 0)
-        index = self._job.frame_index[moments]
+        frames = np.flatnonzero(self._job.frame_index >= 0)
+        index = self._job.frame_index[frames]
         order = np.argsort(index, kind="stable")
-        moment_of = dict(zip(index[order].tolist(), moments[order].tolist()))
+        frame_of = dict(zip(index[order].tolist(), frames[order].tolist()))
         lost: list[FileFormatError] = []
         read: list[int] = []
-        for frame, image in self._source.readable(np.unique(index), lost):
-            read.append(moment_of[frame])
+        for place, image in self._source.readable(np.unique(index), lost):
+            read.append(frame_of[place])
             yield read[-1], image
         if lost and not read:
             raise lost[0]
         if lost:
             last = max(read)
-            after = int((moments > last).sum())
+            after = int((frames > last).sum())
             where = (
-                f"stops at moment {last}, {after} before the end"
+                f"stops at frame {last}, {after} before the end"
                 if after
                 else f"lacks {len(lost)} image{'s' * (len(lost) > 1)}"
             )

@@ -65,8 +65,8 @@ class SilhouetteViews(AbstractCameraEvidence):
 
 
 def watch(
-    frames: Iterable[tuple[int, Image | None]],
-    moments: int,
+    images: Iterable[tuple[int, Image | None]],
+    frames: int,
     size: tuple[int, int],
     watcher: PersonWatch,
     advance: Callable[[int, int], None] | None = None,
@@ -75,22 +75,22 @@ def watch(
     """Look through one camera's frames.
 
     Args:
-        frames: moment and image in their order; None, or a moment left out, where the camera has no frame.
-        moments: F.
+        images: frame and image in their order; None, or a frame left out, where the camera has no image.
+        frames: F.
         size: px, width and height.
         watcher: fresh, for this camera.
-        advance: called with moments done and to do.
+        advance: called with frames done and to do.
         notes: to keep with the views.
     """
-    looks = [Look(FrameReason.NO_IMAGE, 0, False)] * moments
+    looks = [Look(FrameReason.NO_IMAGE, 0, False)] * frames
     kept: list[tuple[int, _Kept]] = []
-    for moment, image in frames:
+    for frame, image in images:
         if image is not None:
             look = watcher.look(image)
-            kept += [(moment, _pack(sighting)) for sighting in look.sightings]
-            looks[moment] = replace(look, sightings=())
+            kept += [(frame, _pack(sighting)) for sighting in look.sightings]
+            looks[frame] = replace(look, sightings=())
         if advance:
-            advance(moment + 1, moments)
+            advance(frame + 1, frames)
     return _collect(looks, kept, size, notes)
 
 
@@ -126,7 +126,7 @@ def _collect(
         reasons=np.array([look.reason for look in looks], dtype=int),
         edges=np.array([look.edges for look in looks], dtype=int),
         grey=np.array([look.grey for look in looks], dtype=bool),
-        moment=np.array([moment for moment, _ in kept], dtype=int),
+        frame=np.array([frame for frame, _ in kept], dtype=int),
         packed=tuple(one.png for _, one in kept),
         notes=tuple(notes),
         **columns,
@@ -134,7 +134,7 @@ def _collect(
 
 
 _ARRAYS = (
-    "reasons", "edges", "grey", "moment", "box", "area", "centroid", "head", "head_score", "head_height",
+    "reasons", "edges", "grey", "frame", "box", "area", "centroid", "head", "head_score", "head_height",
     "head_reason", "corner",
 )  # fmt: skip
 
