@@ -182,8 +182,8 @@ def answered(monkeypatch):
         for i, name in enumerate(("window", "door"), start=1)
     ]
     pointed = SimpleNamespace(answers=answers, notes=("A note.",))
-    monkeypatch.setattr("jaxpoint.commands.point.Point.answered", lambda *_: (None, None, pointed))
-    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", lambda *_: {"gestures": 2})
+    monkeypatch.setattr("jaxpoint.commands.point.Point.find_answers", lambda *_: (None, None, pointed))
+    monkeypatch.setattr("jaxpoint.commands.answers_folder.write_answers", lambda *_: {"gestures": 2})
     monkeypatch.setattr("jaxpoint.report.answer_text.sentence", lambda answer: answer.text)
     monkeypatch.setattr("jaxpoint.report.answer_text.as_json", lambda answer: {"answer": answer.name})
 
@@ -196,7 +196,7 @@ def test_answers_are_told_before_anything_is_written(answered, folder, tmp_path,
         told.extend(capsys.readouterr().out.splitlines())
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", full)
+    monkeypatch.setattr("jaxpoint.commands.answers_folder.write_answers", full)
     code, out, err = run("point", folder, *flags, "--out", tmp_path / "out", capsys=capsys)
     assert (code, out) == (3, "")
     assert "No space left" in err

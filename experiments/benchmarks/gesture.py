@@ -29,7 +29,7 @@ from jaxpoint.body.tracking.head_tracks import HeadTracks, Status, Tracking
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.commands.console import table
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.evidence.limbs import SLICES
+from jaxpoint.evidence.limb_slices import SLICES
 from jaxpoint.geometry.angles import turned
 from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.bias.bias import Bias, Fitted

@@ -8,7 +8,7 @@ import numpy as np
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detection.person.crop import Crop
 from jaxpoint.detection.person.silhouette_evidence import SilhouetteEvidence
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 SHIFT = 4  # bits of sub-pixel that OpenCV draws with
 

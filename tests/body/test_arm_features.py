@@ -12,7 +12,7 @@ from jaxpoint.body.arm_features import WEIGHTS, arm_features
 from jaxpoint.body.limb_arms import measure_limbs
 from jaxpoint.body.strips import Strip
 from jaxpoint.detection.person.crop import Crop
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 FOREARM = unit(0.5, -0.8, 0.15)
 

@@ -6,7 +6,7 @@ import pytest
 from jaxpoint.body.contradicting_views import looks_past
 from jaxpoint.detection.person.crop import Crop
 from jaxpoint.detection.person.silhouette_evidence import SilhouetteEvidence
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 SIZE = (200, 100)
 ALONG = np.linspace([60.0, 50.0], [100.0, 50.0], 24)

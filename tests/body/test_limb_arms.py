@@ -11,7 +11,7 @@ from jaxpoint.body.arm import ArmReason
 from jaxpoint.body.limb_arms import find_arm, find_arm_again
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.detection.person.crop import Crop
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 PLACE = (3.0, 2.5)
 PEOPLE = 20

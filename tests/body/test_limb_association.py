@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.body.limb_association import LimbRays, agreeing_views, associate, common_point
-from jaxpoint.evidence.limbs import SLICE_M, SLICES
+from jaxpoint.evidence.limb_slices import SLICE_M, SLICES
 
 HEAD = np.array([3.0, 2.5, 1.62])
 POSITIONS = np.array([[5.5, 0.5, 2.2], [0.5, 0.6, 2.4], [5.2, 4.5, 2.0], [0.7, 4.4, 2.3]])

@@ -11,7 +11,7 @@ from jaxpoint.body.strip_pixels import strip_pixels
 from jaxpoint.body.strips import Strip
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.evidence.limbs import SLICES
+from jaxpoint.evidence.limb_slices import SLICES
 from jaxpoint.pointing.hold_frames import HoldPixels, arm_numbers, by_calibration
 
 HEAD, TIP = np.array([0.1, 0.0, 1.6]), np.array([0.7, -0.2, 1.45])

@@ -8,7 +8,7 @@ from answer_rig import rig_of_three
 from jaxpoint.body.joints import Joints
 from jaxpoint.config.point import RoomExtent
 from jaxpoint.errors import UsageError
-from jaxpoint.io.scene import read_scene
+from jaxpoint.io.object_scene import read_scene
 from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.pipeline import _guessed_room, room_of
 

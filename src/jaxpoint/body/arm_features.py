@@ -2,7 +2,8 @@
 
 Each feature is weak: the hand is bare, nothing of the person lies beyond its tip, the forearm widens towards the elbow,
 the elbow hangs on a shoulder, the hand lies on the forearm's axis and farther out than the elbow, many slices were
-measured, no view looks past it. Together, weighed by a logistic regression (`experiments/arm_signs.py`), they decide.
+measured, no view looks past it. Together, weighed by a logistic regression (`experiments/arm_features.py`), they
+decide.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from jaxpoint.body.limb_association import SHOULDER_BELOW_M
 from jaxpoint.body.limb_axis import LimbAxis
 from jaxpoint.body.strips import Strip
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 ELBOW_M = 0.33  # from the middle between the shoulders to the elbow of an arm that points
@@ -50,8 +51,8 @@ class ArmFeatures:
         return float(np.dot(WEIGHTS, astuple(self)) + CONSTANT)
 
 
-# In the order of `ArmFeatures`: fitted to ordinary gestures (`experiments/arm_signs.py --seeds 210 220`) and, together
-# with them, to hard ones, of which arms were missed or mistaken before.
+# In the order of `ArmFeatures`: fitted to ordinary gestures (`experiments/arm_features.py --seeds 210 220`) and,
+# together with them, to hard ones, of which arms were missed or mistaken before.
 WEIGHTS = np.array([4.0, 0.029, 3.9, -1.9, -40.0, 6.2, 4.4, -12.6, -1.5])
 CONSTANT = -8.7
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 THROUGH = 0.3  # of the places along an axis: where fewer lie on the person, the view looks past the arm

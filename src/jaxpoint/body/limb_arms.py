@@ -19,7 +19,7 @@ from jaxpoint.body.stature import ELBOW_OF_STATURE, HEAD_M, SPAN_OF_STATURE, lim
 from jaxpoint.body.strip_pixels import stack_strips, strip_pixels
 from jaxpoint.body.strips import Strip, beside_one_edge, cut_strip
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.evidence.limbs import SLICES, LimbEdges, LimbEnd
+from jaxpoint.evidence.limb_slices import SLICES, LimbEdges, LimbEnd
 from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 People = Sequence[AbstractPersonEvidence | None]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.evidence.limbs import SLICE_M, SLICES
+from jaxpoint.evidence.limb_slices import SLICE_M, SLICES
 
 TIP_GAP_M = 0.07  # between the tips of two views
 PLANE_ANGLE = np.deg2rad(8.0)  # between the planes of two views, thesis 7.2

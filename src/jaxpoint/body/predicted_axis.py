@@ -13,7 +13,7 @@ from jaxpoint.body.limb_axis import LimbAxis, fit_axis, refit_axis
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
-from jaxpoint.evidence.limbs import SLICES
+from jaxpoint.evidence.limb_slices import SLICES
 from jaxpoint.geometry.arrays import AnyArray, as_float
 
 NEAREST_M = 0.4  # closer to a camera than this nothing is looked at

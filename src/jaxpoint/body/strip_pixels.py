@@ -13,7 +13,7 @@ from jaxpoint.body.limb_axis import LimbAxis
 from jaxpoint.body.predicted_axis import axis_at_optimum
 from jaxpoint.body.strips import Strip
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.evidence.limbs import SLICES
+from jaxpoint.evidence.limb_slices import SLICES
 from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.triangulation import triangulate
 

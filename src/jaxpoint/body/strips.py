@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.evidence.limbs import LimbEdges
+from jaxpoint.evidence.limb_slices import LimbEdges
 
 LIMB_WIDTH_M = (0.035, 0.13)  # of a forearm, clothes included
 TAPER = 0.2  # by which a width may miss that of an evenly widening forearm

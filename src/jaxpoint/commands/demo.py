@@ -80,7 +80,7 @@ class Demo(SeededOptions):
         return outcome
 
     def _answered(self, session: Path, out: Path, progress: Progress) -> Outcome:
-        from jaxpoint.commands.answered import write_answers
+        from jaxpoint.commands.answers_folder import write_answers
         from jaxpoint.commands.point import Point, answer_lines
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.runs import save_run
@@ -96,7 +96,7 @@ class Demo(SeededOptions):
             person=self.room.detect.person,
             track=self.room.track,
         )
-        opened, following, pointed = point.answered(progress, calibration)
+        opened, following, pointed = point.find_answers(progress, calibration)
         meant, missed = true_targets(session / "truth" / "gestures.csv", pointed)
         right = sum(answer.name == meant.get(answer.number) for answer in pointed.answers)
         true_rig = read_calibration(session / "calibration.json").rig

@@ -88,7 +88,7 @@ class Point(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write gestures, pictures and a page into `--out`."""
         hush_opencv(self.verbose)
-        from jaxpoint.commands.answered import write_answers
+        from jaxpoint.commands.answers_folder import write_answers
         from jaxpoint.io.table import check_table_path
         from jaxpoint.report.answer_text import as_json, check_speaker
 
@@ -98,7 +98,7 @@ class Point(SeededOptions):
         if self.speak:
             check_speaker()
         with console.progress() as progress:
-            session, following, pointed = self.answered(progress)
+            session, following, pointed = self.find_answers(progress)
         missing: list[str] = []
         with extra("the answers on standard output", missing):  # a robot waits for them; who reads them may have gone
             if self.follow:
@@ -118,7 +118,7 @@ class Point(SeededOptions):
         for answer in pointed.answers if self.speak else ():
             speak(sentence(answer))
 
-    def answered(
+    def find_answers(
         self, progress: Progress, calibration: Calibration | None = None
     ) -> tuple[Session, Following, SessionAnswers]:
         """Session, arms and answers; nothing is written. A calibration that was just made goes before a file's."""
@@ -128,7 +128,7 @@ class Point(SeededOptions):
         from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
-        from jaxpoint.io.scene import read_scene
+        from jaxpoint.io.object_scene import read_scene
         from jaxpoint.io.session import check_session, open_session
         from jaxpoint.io.speech import read_times, read_words
         from jaxpoint.pointing.line_hypotheses import correction_of
@@ -227,5 +227,6 @@ def _in_order(covariance: Any, known: Sequence[str], names: Sequence[str]) -> An
         return None
     import numpy as np
 
-    rows = np.concatenate([15 * known.index(name) + np.arange(15) for name in names])
+    size = len(covariance) // len(known)  # parameters a camera
+    rows = np.concatenate([size * known.index(name) + np.arange(size) for name in names])
     return covariance[np.ix_(rows, rows)]

@@ -8,6 +8,6 @@ from .person_evidence import (
     AbstractPersonEvidence as AbstractPersonEvidence,
     SeenJoints as SeenJoints,
 )
-from .limbs import LimbEdges as LimbEdges, LimbEnd as LimbEnd, Pixel as Pixel
+from .limb_slices import LimbEdges as LimbEdges, LimbEnd as LimbEnd, Pixel as Pixel
 from .body_landmarks import BodyLandmarks as BodyLandmarks, LandmarkViews as LandmarkViews
 from .body_landmarks import landmark_views as landmark_views

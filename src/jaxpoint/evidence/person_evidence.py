@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from jaxpoint.evidence.limbs import LimbEdges, LimbEnd, Pixel
+from jaxpoint.evidence.limb_slices import LimbEdges, LimbEnd, Pixel
 
 _SIDED = ("eye", "ear", "shoulder", "elbow", "wrist", "index")
 JOINTS = ("head", "nose", *(f"{side}_{part}" for side in ("left", "right") for part in _SIDED))

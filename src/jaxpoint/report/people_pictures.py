@@ -10,7 +10,7 @@ from jaxtyping import Float, UInt8
 from jaxpoint.body.arm import ArmReason, PointingArm
 from jaxpoint.body.following import Following
 from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence, FrameReason
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 from jaxpoint.io.session import Session
 from jaxpoint.report.contact_sheet import PersonView, contact_sheet
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 
 @dataclass(frozen=True)

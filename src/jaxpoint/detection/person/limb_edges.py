@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxpoint.detection.person.crop import Crop
-from jaxpoint.evidence.limbs import LimbEdges, Pixel
+from jaxpoint.evidence.limb_slices import LimbEdges, Pixel
 
 CORRIDOR_M = 0.09  # on either side of a predicted axis
 HAND_M = 0.36  # beyond a place before the wrist, in which the tip is looked for

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.detection.person.crop import Crop
-from jaxpoint.evidence.limbs import REACH_M, SLICE_M, SLICES, LimbEnd, Pixel
+from jaxpoint.evidence.limb_slices import REACH_M, SLICE_M, SLICES, LimbEnd, Pixel
 
 _AXIS_M = (0.17, 0.40)  # from the tip: behind the hand, before the elbow
 _MIN_AREA_M2 = 0.002

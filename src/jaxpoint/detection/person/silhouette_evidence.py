@@ -12,7 +12,7 @@ from jaxtyping import Float, UInt8
 from jaxpoint.detection.person.crop import Crop, PackedCrop
 from jaxpoint.detection.person.limb_edges import find_edges, find_tips
 from jaxpoint.detection.person.limb_ends import find_limb_ends
-from jaxpoint.evidence.limbs import LimbEdges, LimbEnd, Pixel
+from jaxpoint.evidence.limb_slices import LimbEdges, LimbEnd, Pixel
 from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 

@@ -25,7 +25,7 @@ from jaxpoint.detection.person.silhouette import (
 )
 from jaxpoint.detection.person.skin import SkinModel, skin_mask, skin_model, white_balance, white_gains
 from jaxpoint.evidence.camera_evidence import FrameReason
-from jaxpoint.evidence.limbs import Pixel
+from jaxpoint.evidence.limb_slices import Pixel
 
 DARK = 16.0  # grey levels: brighter than this are fewer than 1 % of the pixels of an image without light
 BLOWN = 0.5  # part of the pixels that are saturated in an image with too much

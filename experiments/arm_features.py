@@ -1,13 +1,14 @@
-"""How much does each sign tell of an arm that points? Fits the weights of `jaxpoint.body.arm_features`.
+"""How much does each feature show of an arm that points? Fits the weights of `jaxpoint.body.arm_features`.
 
 People of simulated sessions point; every limb that the views agree on is measured, and one that is off the true
-forearm by less than 12 degrees, with its tip nearer than 15 cm, is the arm. A logistic regression weighs the signs. It
-is judged on people who were not fitted: in each moment the likeliest limb is the answer, where its log odds are enough.
+forearm by less than 12 degrees, with its tip nearer than 15 cm, is the arm. A logistic regression weighs the features.
+It is scored on people who were not fitted: in each frame the likeliest limb is the answer, where its log odds are
+enough.
 
-    python experiments/arm_signs.py --seeds 200 212 --every 4 --out arm_signs.md
+    python experiments/arm_features.py --seeds 200 212 --every 4 --out arm_features.md
 
-The measured limbs are kept beside the table, in `arm_signs.json`: a second run only fits. Seeds from 10,000 on are for
-final runs alone.
+The measured limbs are kept beside the table, in `arm_features.json`: a second run only fits. Seeds from 10,000 on are
+for final runs alone.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from jaxpoint.body.limb_arms import LEAST
 NAMES = [field.name for field in fields(ArmFeatures)]
 RIGHT_DEG, RIGHT_M = 12.0, 0.15
 FOLDS = 5
-SHRINKAGE = 0.3  # of a weight, per standard deviation of its sign: a ridge
+SHRINKAGE = 0.3  # of a weight, per standard deviation of its feature: a ridge
 
 
 def main() -> None:
@@ -37,7 +38,7 @@ def main() -> None:
     parser.add_argument("--gestures", type=int, default=8, help="of one session, each by another person")
     parser.add_argument("--every", type=int, default=4, help="which frames of a hold are looked at: every so many")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=Path("arm_signs.md"))
+    parser.add_argument("--out", type=Path, default=Path("arm_features.md"))
     args = parser.parse_args()
     kept = args.out.with_suffix(".json")
     if not kept.exists():
@@ -51,7 +52,7 @@ def main() -> None:
 
 
 def _limbs_of_session(job: tuple[int, int, int]) -> list[dict]:
-    """Every measured limb of the people who point, with its signs and whether it is the arm."""
+    """Every measured limb of the people who point, with its features and whether it is the arm."""
     import cv2
     import jax
 
@@ -90,30 +91,30 @@ def _limbs_of_moment(pixels, moment: int) -> list[dict]:
             off = np.degrees(np.arccos(np.clip(limb.direction @ true_axis, -1, 1)))
             tip = float(np.linalg.norm(limb.tip - truth[f"{gesture.hand}_tip"]))
             right = bool(off < RIGHT_DEG and tip < RIGHT_M)
-            signs = {} if limb.features is None else asdict(limb.features)
-            found.append({"moment": [session.seed, gesture.number, moment], "right": right} | signs)
+            features = {} if limb.features is None else asdict(limb.features)
+            found.append({"moment": [session.seed, gesture.number, moment], "right": right} | features)
     return found
 
 
 def summary(limbs: list[dict]) -> str:
     """The weights, and how often they choose the arm of people who were not fitted, as Markdown."""
-    signs = np.array([[limb[name] for name in NAMES] for limb in limbs], float)
+    features = np.array([[limb[name] for name in NAMES] for limb in limbs], float)
     right = np.array([limb["right"] for limb in limbs], bool)
     person = np.array([limb["moment"][0] + limb["moment"][1] for limb in limbs])
-    weights, constant = fitted(signs, right)
+    weights, constant = fitted(features, right)
     held_out = np.zeros(len(limbs))
     for fold in range(FOLDS):
         own = person % FOLDS == fold
-        others = fitted(signs[~own], right[~own])
-        held_out[own] = signs[own] @ others[0] + others[1]
+        others = fitted(features[~own], right[~own])
+        held_out[own] = features[own] @ others[0] + others[1]
     lines = [f"{len(limbs)} measured limbs, {right.sum()} of them the arm that points.", ""]
-    lines += ["| sign | weight fitted | a standard deviation | weight used |", "|---|---|---|---|"]
-    for name, weight, spread, used in zip(NAMES, weights, signs.std(axis=0), WEIGHTS, strict=True):
+    lines += ["| feature | weight fitted | a standard deviation | weight used |", "|---|---|---|---|"]
+    for name, weight, spread, used in zip(NAMES, weights, features.std(axis=0), WEIGHTS, strict=True):
         lines.append(f"| {name} | {weight:.3g} | {weight * spread:.2f} | {used:.3g} |")
     lines += [f"| constant | {constant:.3g} | | {CONSTANT:.3g} |", ""]
     lines += ["| moments with a limb | answered, % | right of these, % |", "|---|---|---|"]
     moments = [limb["moment"] for limb in limbs]
-    for name, odds in (("fitted on others", held_out), ("weights used", signs @ WEIGHTS + CONSTANT)):
+    for name, odds in (("fitted on others", held_out), ("weights used", features @ WEIGHTS + CONSTANT)):
         lines.append(f"| {name} | {_chosen(moments, right, odds)} |")
     return "\n".join([*lines, ""])
 
@@ -128,12 +129,12 @@ def _chosen(moments: list[list[int]], right: Bool[np.ndarray, " L"], odds: Float
     return f"{100 * len(answered) / len(best):.1f} | {100 * right[answered].mean():.1f}"
 
 
-def fitted(signs: Float[np.ndarray, "L S"], right: Bool[np.ndarray, " L"]) -> tuple[Float[np.ndarray, " S"], float]:
-    """Weights and constant of a logistic regression with a ridge on standardised signs."""
+def fitted(features: Float[np.ndarray, "L S"], right: Bool[np.ndarray, " L"]) -> tuple[Float[np.ndarray, " S"], float]:
+    """Weights and constant of a logistic regression with a ridge on standardised features."""
     from scipy.optimize import minimize
 
-    middle, spread = signs.mean(axis=0), signs.std(axis=0) + 1e-9
-    rows = np.column_stack([(signs - middle) / spread, np.ones(len(signs))])
+    middle, spread = features.mean(axis=0), features.std(axis=0) + 1e-9
+    rows = np.column_stack([(features - middle) / spread, np.ones(len(features))])
 
     def loss(weights: np.ndarray) -> tuple[float, np.ndarray]:
         odds = rows @ weights
