@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 from jaxpoint.body.limb_arms import find_arm
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.person import ThesisSettings
-from jaxpoint.detection.colour import Image, scaled
+from jaxpoint.detection.colour import Image, scale_channels
 from jaxpoint.detection.person.crop import Crop
 from jaxpoint.detection.person.head_template import Head, find_head
 from jaxpoint.detection.person.silhouette import (
@@ -104,7 +104,7 @@ def still(folder: Path, camera: str, images: list[Image]) -> Image:
         image = cv2.resize(image, BARRED_SIZE, interpolation=cv2.INTER_AREA)
         image = cv2.copyMakeBorder(image, BAR, BAR, 0, 0, cv2.BORDER_CONSTANT)
     median = np.median(np.stack(images[::10])[:, ::4, ::4], axis=0)
-    image = scaled(image, np.median((median + 1) / (image[::4, ::4] + 1.0), axis=(0, 1)))
+    image = scale_channels(image, np.median((median + 1) / (image[::4, ::4] + 1.0), axis=(0, 1)))
     for (x0, y0, x1, y1), (first, end) in STILL_PEOPLE[camera]:
         image[y0:y1, x0:x1] = np.median(np.stack([one[y0:y1, x0:x1] for one in images[first:end]]), axis=0)
     return image

@@ -85,7 +85,7 @@ def test_regions_join_over_corners_and_come_largest_first():
 def test_a_moved_region_keeps_its_shape():
     mask = np.zeros((30, 30), bool)
     mask[4:9, 3:20] = True
-    moved, there = region_of(mask).moved(5, 7), region_of(np.roll(mask, (7, 5), axis=(0, 1)))
+    moved, there = region_of(mask).shift(5, 7), region_of(np.roll(mask, (7, 5), axis=(0, 1)))
     np.testing.assert_allclose(moved.centroid, there.centroid)
     assert (moved.box, moved.major) == (there.box, there.major)
 

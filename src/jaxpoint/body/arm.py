@@ -74,6 +74,6 @@ class PointingArm:
         return np.asarray(self.axis.direction)
 
     @property
-    def counted(self) -> int:
+    def views_used(self) -> int:
         """Number of views that are used."""
         return sum(view.reason == ArmReason.FOUND for view in self.views)

@@ -63,7 +63,7 @@ class _Measured:
     predicted: PredictedAxis
 
     @property
-    def agreed(self) -> float:
+    def agreement(self) -> float:
         """Slices that count, less where they scatter."""
         return float(self.axis.slices.sum()) / (1 + float(self.axis.rms))
 
@@ -196,7 +196,7 @@ def _measure_arm(
         tries.append(_refine(scene, arm.foot, start, span, ROUNDS))
         if tries[-1].converged:
             break
-    best = max(tries, key=lambda one: one.agreed)
+    best = max(tries, key=lambda one: one.agreement)
     tip, _, _ = _common_tip(scene, best.strips, best.axis, own) or (arm.tip, arm.spread, {})
     # The span counts from the tip, which is known better now; where the wrist is bent, it lies beside the axis.
     ahead, near = np.asarray(best.axis.direction), np.asarray(best.axis.near)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from jaxpoint.commands.point import Point
     from jaxpoint.io.session import Session
     from jaxpoint.pointing.pipeline import SessionAnswers
-    from jaxpoint.report.pointing_page import GestureShown
+    from jaxpoint.report.pointing_page import GestureEntry
 
 
 def write_answers(
@@ -47,7 +47,7 @@ def write_answers(
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.table import write_table
     from jaxpoint.report.answer_text import as_json
-    from jaxpoint.report.gesture_pictures import HEADER, gestures_shown, images_of, room_scene
+    from jaxpoint.report.gesture_pictures import HEADER, gesture_entries, images_of, room_scene
     from jaxpoint.report.gesture_table import gestures_table
     from jaxpoint.report.pointing_page import write_pointing_report
     from jaxpoint.runs import MARK, new_run, provenance, write_json
@@ -65,15 +65,15 @@ def write_answers(
     def show(folder: Path) -> None:
         for write in pages:
             write(folder, notes)
-        shown: list[GestureShown] = []
+        shown: list[GestureEntry] = []
         with extra("pictures and report.html", notes):
-            shown = gestures_shown(session, following, pointed, images_of(session, pointed.frames), truth, notes)
+            shown = gesture_entries(session, following, pointed, images_of(session, pointed.frames), truth, notes)
         if shown:
             _write_pictures(folder / "pictures", shown, notes)
             with extra("report.html", notes):
                 page(folder / "report.html", shown)
 
-    def page(path: Path, shown: Sequence[GestureShown]) -> None:
+    def page(path: Path, shown: Sequence[GestureEntry]) -> None:
         assert session.rig is not None
         sure = sum(not answer.ambiguous for answer in pointed.answers)
         write_pointing_report(
@@ -108,7 +108,7 @@ def write_answers(
     return figures
 
 
-def _write_pictures(folder: Path, shown: Sequence[GestureShown], missing: list[str]) -> None:
+def _write_pictures(folder: Path, shown: Sequence[GestureEntry], missing: list[str]) -> None:
     from jaxpoint.report.pointing_sheet import save_sheet
 
     for gesture in shown:

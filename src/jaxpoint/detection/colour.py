@@ -19,7 +19,7 @@ def is_grey(image: Image, coloured: float = 0.01) -> bool:
     return bool(np.percentile(highest - lowest, 100 * (1 - coloured)) < GREY_SPREAD)
 
 
-def scaled(image: Image, gains: Float[np.ndarray, "3"]) -> Image:
+def scale_channels(image: Image, gains: Float[np.ndarray, "3"]) -> Image:
     """The image with blue, green and red times their gains."""
     channels = [cv2.convertScaleAbs(channel, alpha=float(gain)) for channel, gain in zip(cv2.split(image), gains)]
     return cv2.merge(channels)

@@ -31,7 +31,7 @@ class Region:
         """Major over minor axis."""
         return self.major / self.minor
 
-    def moved(self, x: int, y: int) -> Region:
+    def shift(self, x: int, y: int) -> Region:
         """The same region in an image whose origin lies (x, y) px farther to the left and up."""
         left, top, width, height = self.box
         return replace(self, centroid=self.centroid + np.array([x, y]), box=(left + x, top + y, width, height))

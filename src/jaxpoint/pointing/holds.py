@@ -71,7 +71,7 @@ def arm_tracks(following: Following) -> list[ArmTrack]:
                 np.array([arm.tip for arm in arms]).reshape(-1, 3),
                 np.array([arm.direction for arm in arms]).reshape(-1, 3),
                 np.array([arm.stretch for arm in arms]) / np.maximum(stature, 1.0),
-                np.array([arm.counted for arm in arms], int),
+                np.array([arm.views_used for arm in arms], int),
             )
         )
     return tracks

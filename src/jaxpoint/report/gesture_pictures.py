@@ -18,7 +18,7 @@ from jaxpoint.pointing.objects import NOTHING
 from jaxpoint.pointing.pipeline import SessionAnswers
 from jaxpoint.report.answer_text import sentence
 from jaxpoint.report.figures_pointing import PointingScene, RoomScene
-from jaxpoint.report.pointing_page import GestureShown
+from jaxpoint.report.pointing_page import GestureEntry
 from jaxpoint.report.pointing_sheet import Outline, PointingView, pointing_sheet
 
 HEADER = ("gesture", "time", "person", "answer", "probability", "distance", "line", "views")
@@ -40,14 +40,14 @@ def images_of(session: Session, frames: Sequence[int]) -> list[list[Image | None
     return [[own.get(frame) for frame in frames] for own in found]
 
 
-def gestures_shown(
+def gesture_entries(
     session: Session,
     following: Following,
     pointed: SessionAnswers,
     images: Sequence[Sequence[Image | None]],
     truth: Mapping[int, str] | None = None,
     missing: list[str] | None = None,
-) -> list[GestureShown]:
+) -> list[GestureEntry]:
     """Every gesture as the page shows it.
 
     Args:
@@ -66,7 +66,7 @@ def gestures_shown(
         with extra(f"the picture of gesture {answer.number}", [] if missing is None else missing):
             arm = following.arms.get((pointed.frames[i], pointed.people[i]))
             sheet = _sheet(session.rig, answer, arm, [own[i] for own in images], faces)
-        shown.append(_shown(answer, sheet, None if truth is None else truth.get(answer.number, "")))
+        shown.append(_entry(answer, sheet, None if truth is None else truth.get(answer.number, "")))
     return shown
 
 
@@ -78,7 +78,7 @@ def _sheet(
     return pointing_sheet(views)[..., ::-1] if views else None
 
 
-def _shown(answer: Answer, sheet: np.ndarray | None, meant: str | None) -> GestureShown:
+def _entry(answer: Answer, sheet: np.ndarray | None, meant: str | None) -> GestureEntry:
     text = sentence(answer)
     truth = ""
     if meant:
@@ -90,7 +90,7 @@ def _shown(answer: Answer, sheet: np.ndarray | None, meant: str | None) -> Gestu
     ]  # fmt: skip
     if meant is not None:
         row += [meant or "no gesture", "yes" if meant == answer.name else "no"]
-    return GestureShown(
+    return GestureEntry(
         number=answer.number,
         title=answer.name,
         sentence=text[0].upper() + text[1:] + ".",

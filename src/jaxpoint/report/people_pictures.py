@@ -72,7 +72,9 @@ def _caption(session: Session, following: Following | None, frame: int) -> str:
         return text
     people = following.tracking.heads.people
     arms = [(people[who], arm) for (at, who), arm in following.arms.items() if at == frame and arm is not None]
-    found = [f"person {number}: arm measured in {arm.counted} views, {arm.stretch:.2f} m out" for number, arm in arms]
+    found = [
+        f"person {number}: arm measured in {arm.views_used} views, {arm.stretch:.2f} m out" for number, arm in arms
+    ]
     return "; ".join([text, *found])
 
 

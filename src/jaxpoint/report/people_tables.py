@@ -78,7 +78,7 @@ def _room_columns(arm: PointingArm) -> dict[str, Any]:
     return {
         **places,
         **directions,
-        "views": arm.counted,
+        "views": arm.views_used,
         "tip_spread_m": arm.tip_spread,
         "sigma_deg": float(sigma),
         "rms": float(arm.axis.rms),

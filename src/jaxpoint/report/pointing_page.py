@@ -18,7 +18,7 @@ from jaxpoint.report.style import style, to_svg
 
 
 @dataclass(frozen=True)
-class GestureShown:
+class GestureEntry:
     """One gesture of the page, in words and pictures."""
 
     number: int
@@ -38,7 +38,7 @@ class GestureShown:
 def write_pointing_report(
     path: StrPath,
     room: RoomScene,
-    gestures: Sequence[GestureShown],
+    gestures: Sequence[GestureEntry],
     *,
     header: Sequence[str],
     tiles: Sequence[tuple[str, str]],

@@ -260,7 +260,7 @@ def test_what_is_kept_is_read_back_and_another_version_is_not(tmp_path):
     own = replace(seen(rig, tip, along)[0], notes=("One note.",))
     save_markers(tmp_path / "kept.npz", own)
     back = load_markers(tmp_path / "kept.npz")
-    for name in ("reasons", "markers", "moment", "area", "centroid", "tip", "base", "person"):
+    for name in ("reasons", "markers", "frame", "area", "centroid", "tip", "base", "person"):
         np.testing.assert_array_equal(getattr(back, name), getattr(own, name))
     assert back.notes == own.notes
     (tmp_path / "kept.npz").write_bytes(b"no longer")

@@ -57,7 +57,7 @@ def given(request):
         reasons[seen] = FrameReason.PERSON
         people = [{name: pixels[place, joint][camera] for joint, name in NAMES.items()} for place in seen]
         box = np.concatenate([heads - 15, np.full((len(seen), 2), 100)], axis=1).astype(int)
-        common = {"size": (width, height), "reasons": reasons, "moment": np.array(seen, int), "box": box, "head": heads}
+        common = {"size": (width, height), "reasons": reasons, "frame": np.array(seen, int), "box": box, "head": heads}
         height, found = np.full(len(seen), 30.0), np.full(len(seen), int(HeadReason.FOUND))
         views.append(GivenViews(**common, head_height=height, head_reason=found, people=people))
     return views

@@ -54,7 +54,7 @@ class Track:
             covariance=covariance,
         )
 
-    def outlived(self, time: float, settings: TrackSettings) -> bool:
+    def is_expired(self, time: float, settings: TrackSettings) -> bool:
         """Whether it ends before a frame at this time (s)."""
         wanted, tried = settings.confirm
         misses = self.frames - self.hits

@@ -128,7 +128,7 @@ def _step(
     settings: TrackSettings,
     bounds: Float[np.ndarray, "2 3"],
 ) -> tuple[TrackerState, FrameHeads]:
-    tracks = [track for track in state.tracks if not track.outlived(time, settings)]
+    tracks = [track for track in state.tracks if not track.is_expired(time, settings)]
     tracks = _predict(tracks, 0.0 if state.time is None else time - state.time, settings)
     expected = Predictions(
         np.array([track.mean[:3] for track in tracks]).reshape(-1, 3),

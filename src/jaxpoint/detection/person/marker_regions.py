@@ -109,7 +109,7 @@ def find_markers(image: Image, silhouette: Silhouette, model: MarkerModel, setti
     _, regions = label_regions(mask, min_area=settings.min_area_px + 1)
     if not regions:
         return Markers((), MarkerReason.TOO_SMALL)
-    return Markers(tuple(region.moved(left, top) for region in regions[: settings.candidates]), MarkerReason.FOUND)
+    return Markers(tuple(region.shift(left, top) for region in regions[: settings.candidates]), MarkerReason.FOUND)
 
 
 def marker_ends(region: Region, silhouette_centroid: Float[np.ndarray, "2"]) -> Endpoints:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from jaxpoint.config.person import BackgroundSettings, SilhouetteSettings
 from jaxpoint.detection.background import median_background
-from jaxpoint.detection.colour import Image, scaled, shrink_of, shrunk
+from jaxpoint.detection.colour import Image, scale_channels, shrink_of, shrunk
 from jaxpoint.detection.region import Mask, Region, label_regions
 from jaxpoint.errors import InsufficientDataError
 
@@ -202,7 +202,7 @@ def sharpen(
     if not width:
         return inner
     part = np.s_[y : y + height, x : x + width]
-    image, room = scaled(image[part], _gains_outside(outer, image, room)), room[part]
+    image, room = scale_channels(image[part], _gains_outside(outer, image, room)), room[part]
     y, cr, cb = cv2.split(
         cv2.absdiff(cv2.cvtColor(image, cv2.COLOR_BGR2YCrCb), cv2.cvtColor(room, cv2.COLOR_BGR2YCrCb))
     )
@@ -325,7 +325,7 @@ def _in_light_of(reference: UInt8[np.ndarray, "h w 3"], image: UInt8[np.ndarray,
     gain = np.clip(gain, 1 / MAX_GAIN, MAX_GAIN)
     if np.abs(gain - 1).max() < 1e-3:
         return image
-    return scaled(image, gain)
+    return scale_channels(image, gain)
 
 
 def _without_shade(

@@ -83,7 +83,7 @@ def watch(
         notes: to keep with the views.
     """
     looks = [Look(FrameReason.NO_IMAGE, 0, False)] * frames
-    kept: list[tuple[int, _Kept]] = []
+    kept: list[tuple[int, _PackedSighting]] = []
     for frame, image in images:
         if image is not None:
             look = watcher.look(image)
@@ -95,24 +95,24 @@ def watch(
 
 
 @dataclass(frozen=True)
-class _Kept:
+class _PackedSighting:
     """A sighting with its crop packed, so that a recording fits in memory."""
 
     values: tuple
     png: bytes
 
 
-def _pack(sighting: Sighting) -> _Kept:
+def _pack(sighting: Sighting) -> _PackedSighting:
     silhouette, head, crop = sighting.silhouette, sighting.head, sighting.crop
     values = (
         silhouette.box, silhouette.region.area, silhouette.region.centroid, (head.x, head.y), head.score,
         head.height_px, int(head.reason), crop.corner,
     )  # fmt: skip
-    return _Kept(values, PackedCrop.of(crop).png)
+    return _PackedSighting(values, PackedCrop.of(crop).png)
 
 
 def _collect(
-    looks: Sequence[Look], kept: Sequence[tuple[int, _Kept]], size: tuple[int, int], notes: Sequence[str]
+    looks: Sequence[Look], kept: Sequence[tuple[int, _PackedSighting]], size: tuple[int, int], notes: Sequence[str]
 ) -> SilhouetteViews:
     shapes = ((4,), (), (2,), (2,), (), (), (), (2,))
     kinds = (int, int, float, float, float, float, int, int)

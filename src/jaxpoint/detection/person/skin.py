@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from jaxpoint.config.person import SkinSettings
-from jaxpoint.detection.colour import Image, is_grey, scaled
+from jaxpoint.detection.colour import Image, is_grey, scale_channels
 
 CR = (133, 173)
 CB = (77, 127)
@@ -125,7 +125,7 @@ def white_gains(image: Image) -> Float[np.ndarray, "3"]:
 def white_balance(image: Image, gains: Float[np.ndarray, "3"] | None = None) -> Image:
     """The image with its channels times `gains`, by default its own `white_gains`."""
     factors = white_gains(image) if gains is None else gains
-    return scaled(image, factors)
+    return scale_channels(image, factors)
 
 
 def _skin_hue(image: Image, red_wrap: bool) -> Bool[np.ndarray, "H W"]:

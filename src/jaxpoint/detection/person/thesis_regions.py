@@ -73,7 +73,7 @@ def _pointing(
     origin = np.array(silhouette.box[:2])
     center = silhouette.region.centroid - origin
     farthest = max(regions, key=lambda region: float(np.hypot(*(region.centroid - center))))
-    crop, region = farthest.crop(labels), farthest.moved(*silhouette.box[:2])
+    crop, region = farthest.crop(labels), farthest.shift(*silhouette.box[:2])
     corner = np.array(region.box[:2])
     ends = endpoints(crop, silhouette.region.centroid - corner)
     return ThesisRegion(crop, region, Endpoints(ends.tip + corner, ends.base + corner), ThesisReason.FOUND)
