@@ -151,7 +151,7 @@ def test_a_drawn_line_knows_that_its_lines_share_joints(side):
 def test_spread_is_scipys_student(freedom):
     scale = np.deg2rad(1.0) ** 2 * np.array([[9.0, 2.0], [2.0, 4.0]])
     drawn = multivariate_t(shape=scale, df=freedom, seed=2).rvs(6000)
-    found = fit_spread(corrected_lines, np.ones(len(corrected_lines)))
+    found = fit_spread(drawn, np.ones(len(drawn)))
     assert (found.freedom < 8) == (freedom < 8)
     np.testing.assert_allclose(found.scale, scale, atol=0.08 * scale.max())
     same = Spread(scale, np.array(freedom)).log_density(drawn[:9])

@@ -22,12 +22,12 @@ def track(holds=((10, 18), (30, 36)), frames=45, seed=0) -> ArmTrack:
         tips[part], stretch[part] = [0.6, -0.2 + number, 1.5], 0.4
         directions[part] = POINTING * [1, (-1) ** number, 1]
     tips += 0.003 * rng.normal(size=tips.shape)
-    frames = np.arange(frames)
-    return ArmTrack(0, frames, PERIOD * frames, tips, directions, stretch, np.full(frames, 4))
+    rising = np.arange(frames)
+    return ArmTrack(0, rising, PERIOD * rising, tips, directions, stretch, np.full(frames, 4))
 
 
 def select(arm: ArmTrack, kept) -> ArmTrack:
-    names = ("moments", "times", "tips", "directions", "stretch", "views")
+    names = ("frames", "times", "tips", "directions", "stretch", "views")
     return replace(arm, **{name: getattr(arm, name)[kept] for name in names})
 
 

@@ -22,11 +22,14 @@ from jaxpoint.evidence.person_evidence import AbstractPersonEvidence
 
 HEAD_SIGMA = 0.07  # of its height, the error of a head's middle in one view
 CUT_HEAD_SIGMA = 0.15  # the same where much of it is outside the image
-Progress = Callable[[str, int, int], None]
-"""Called with what is done, how much of it is done, and how much there is."""
 ARM_M = 1.0  # from a head, the farthest that its arm is seen
 NEAREST_M = 0.3  # as near to a camera as a head is taken to be
 INSIDE = 0.15  # of its box's height, by which a head may lie outside the silhouette that it belongs to
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is done, how much of it is done, and how much there is."""
+ArmsOfAll = dict[tuple[int, int], PointingArm | None]
+"""By frame and person."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,7 @@ class Following:
 
     tracking: Tracking
     sightings: Int[np.ndarray, "F N C"]  # which sighting of each camera is the person; -1 where none
-    arms: dict[tuple[int, int], PointingArm | None]  # by frame and person, where the person is in the room
+    arms: ArmsOfAll  # by frame and person, where the person is in the room
 
 
 def follow(
@@ -62,13 +65,13 @@ def follow(
     """
     pixels, valid, sigma, doubtful, index = _heads(views, len(times))
 
-    def tell(share: float) -> None:
+    def report(share: float) -> None:
         if progress:
             progress("heads", round(share * len(times)), len(times))
 
     settings = settings or TrackSettings()
     tracking = track_heads(
-        rig, pixels, valid, times, settings, sigma_px=sigma, doubtful=doubtful, frame_ids=frame_ids, progress=tell
+        rig, pixels, valid, times, settings, sigma_px=sigma, doubtful=doubtful, frame_ids=frame_ids, progress=report
     )
     with jax.enable_x64(True):
         return _with_arms(rig, views, _with_sightings(rig, views, tracking, index), progress)
@@ -99,35 +102,56 @@ def _with_sightings(
     return Following(tracking, sightings, {})
 
 
+@dataclass(frozen=True)
+class _ArmSearch:
+    """Looks for arms in the evidence of all views."""
+
+    rig: CameraRig
+    views: Sequence[AbstractCameraEvidence]
+    following: Following
+    head_px: Float[np.ndarray, "F N C 2"]
+
+    def people(self, frame: int, person: int) -> list[AbstractPersonEvidence | None]:
+        """What each view shows of a person in a frame."""
+        own = self.following.sightings[frame, person].tolist()
+        return [self.views[camera].person(sighting) if sighting >= 0 else None for camera, sighting in enumerate(own)]
+
+    def by_joints(self, present: Sequence[tuple[int, int]]) -> ArmsOfAll:
+        """The arms that joints show, of all frames and people together."""
+        heads = self.following.tracking.heads.positions
+        seen = SeenArms.of([self.people(*one) for one in present])
+        return dict(zip(present, joint_arms(self.rig, seen, np.array([heads[one] for one in present]).reshape(-1, 3))))
+
+    def by_outlines(self, frame: int, person: int) -> PointingArm | None:
+        """The arm that outlines show."""
+        head = self.following.tracking.heads.positions[frame, person]
+        return find_arm(self.rig, self.people(frame, person), head, self.head_px[frame, person])
+
+    def beside(self, arms: ArmsOfAll, frame: int, other: int, person: int) -> PointingArm | None:
+        """The arm in a frame where that of another frame predicts it."""
+        head, before = self.following.tracking.heads.positions[[frame, other], person]
+        arm = arms[other, person]
+        if arm is None:
+            return None
+        return find_arm_again(self.rig, self.people(frame, person), head, arm, head - before)
+
+
 def _with_arms(
     rig: CameraRig, views: Sequence[AbstractCameraEvidence], following: Following, progress: Progress | None
 ) -> Following:
     """The arms of everybody in every frame: by joints where views show them, else by outlines."""
     heads = following.tracking.heads
-    projected = np.asarray(rig.project(heads.positions))
-
-    def people(frame: int, person: int) -> list[AbstractPersonEvidence | None]:
-        own = following.sightings[frame, person].tolist()
-        return [views[camera].person(sighting) if sighting >= 0 else None for camera, sighting in enumerate(own)]
-
-    def again(frame: int, person: int, other: int) -> PointingArm | None:
-        head, before = heads.positions[[frame, other], person]
-        arm = arms[other, person]
-        return None if arm is None else find_arm_again(rig, people(frame, person), head, arm, head - before)
-
-    present = [(int(frame), int(person)) for frame, person in np.argwhere(heads.present)]
-    seen = SeenArms.of([people(*one) for one in present])
-    arms = dict(zip(present, joint_arms(rig, seen, heads.positions[heads.present])))
+    search = _ArmSearch(rig, views, following, np.asarray(rig.project(heads.positions)))
+    arms = search.by_joints([(int(frame), int(person)) for frame, person in np.argwhere(heads.present)])
     for frame in range(len(heads.positions)):
         for person in np.flatnonzero(heads.present[frame]).tolist():
             if arms[frame, person] is None:
-                head, head_px = heads.positions[frame, person], projected[frame, person]
-                arms[frame, person] = find_arm(rig, people(frame, person), head, head_px)
+                arms[frame, person] = search.by_outlines(frame, person)
         if progress:
             progress("arms", frame + 1, len(heads.positions))
     for person in range(heads.present.shape[1]):
         own = {frame: arm for (frame, who), arm in arms.items() if who == person}
-        agreed = with_neighbours(own, heads.times, lambda m, o, who=person: again(m, who, o))
+        agreed = with_neighbours(own, heads.times, lambda f, o, who=person: search.beside(arms, f, o, who))
         arms.update({(frame, person): arm for frame, arm in agreed.items()})
     return replace(following, arms=arms)
 
