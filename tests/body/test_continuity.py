@@ -73,7 +73,7 @@ def test_an_arm_that_is_raised_is_no_contradiction():
     assert again.asked == []
 
 
-def test_frames_far_away_have_no_say():
+def test_frames_far_away_are_not_used():
     arms = {0: arm(0.0), 1: arm(150.0), 2: arm(0.0), 3: arm(0.0), 4: arm(0.0)}
     again = Again({})
     assert with_neighbours(arms, np.arange(5.0), again) == arms

@@ -83,7 +83,7 @@ def test_landmarks_become_heads_and_arms(landmarks, tmp_path):
 
 
 def test_a_forearm_that_no_view_has_whole_is_none_and_ends_nothing(landmarks, tmp_path, capsys):
-    """The elbow in some cameras and the wrist in the others: both can be triangulated, but no view has a say."""
+    """The elbow in some cameras and the wrist in the others: both can be triangulated, but no view is used."""
     header, *lines = landmarks.read_text().splitlines()
     apart = [
         line

@@ -128,7 +128,7 @@ def test_what_hidden_views_hold_does_not_matter(example):
     np.testing.assert_array_equal(same.tip, without.tip)
 
 
-def test_a_covered_forearm_has_no_say(example):
+def test_a_covered_forearm_is_not_used(example):
     """A board before the person in one view: that view is told hidden, and the answer stays."""
     rig, crops, head, head_px, joints, forearm = example
     arm = arm_of(rig, crops, head, head_px)

@@ -82,7 +82,7 @@ def test_the_thesis_takes_the_topmost_pixels_of_the_outermost_columns():
 
 
 def test_the_thesis_tilts_a_level_forearm_up_by_half_its_width_over_half_its_length():
-    """SPEC 6: atan(1.5 cm / 17 cm), the flaw that the axis line does not have."""
+    """The suspected flaw of the thesis (7.2.2): atan(1.5 cm / 17 cm), which the axis line does not have."""
     mask, direction, _ = limb(0.0, length=340 / 2, near=30, far=30)
     ends = forearm_endpoints(mask, np.array([0.0, 110.0]))
     dx, dy = ends.tip - ends.base

@@ -108,7 +108,7 @@ def test_the_finger_has_its_own_filters(dressed, length, width, degrees, reason)
 
 
 def test_the_thesis_itself_is_what_the_settings_say():
-    """SPEC 5, number by number."""
+    """The numbers of the thesis (6.3.1), one by one."""
     forearm, finger = SETTINGS.forearm, SETTINGS.finger
     assert (forearm.min_area_px, forearm.min_eccentricity, forearm.max_orientation_deg) == (100, 0.75, 55)
     assert (forearm.min_ratio, forearm.max_ratio) == (2, 11)
