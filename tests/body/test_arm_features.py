@@ -1,4 +1,4 @@
-"""Signs of an arm that points, on a drawn person whose joints are known."""
+"""Features of an arm that points, on a drawn person whose joints are known."""
 
 from dataclasses import astuple, replace
 
