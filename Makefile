@@ -6,7 +6,7 @@ PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
 # Test processes: one a core and one for every 4 GB of available memory, whichever are fewer.
 WORKERS ?= $(shell $(PYTHON) .ci/workers.py)
 # Annotated shapes are checked in tests; not in commands, whose defaults stand in for arguments yet to be given.
-CHECKED := geometry camera tracks targets triangulation epipolar calibration landmarks validation metrics runs detect io report tracking pointing person answer
+CHECKED := geometry camera targets tracks triangulation epipolar calibration landmarks validation metrics runs evidence body pointing detection io report
 TYPED := $(shell echo $(CHECKED:%=jaxpoint.%) beartype.beartype | tr ' ' ',')
 
 .PHONY: demo test lint docs bench-quick

@@ -19,8 +19,8 @@ import numpy as np
 import tyro
 from rich.progress import track
 
+from jaxpoint.body.tracking.tracker import track_heads
 from jaxpoint.simulate.heads import Meeting, random_meeting
-from jaxpoint.tracking.tracker import track_heads
 
 APART_M = 0.8  # farther from one another it is plain who is who
 NEAR_M = 0.3  # a track is a person's within this distance

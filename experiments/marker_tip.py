@@ -22,15 +22,16 @@ import numpy as np
 import tyro
 from rich.progress import track
 
+from jaxpoint.body.marker_tips import TipReason, marker_tips
 from jaxpoint.config.people import LooksSettings, PeopleSettings
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.detect.marker import MarkerModel, train_marker
-from jaxpoint.detect.person import PersonWatch
-from jaxpoint.detect.silhouette import RoomBackground, learn_background
+from jaxpoint.detection.person.marker_regions import MarkerModel, train_marker
+from jaxpoint.detection.person.marker_watch import disc, look_for_marker
+from jaxpoint.detection.person.silhouette import RoomBackground, learn_background
+from jaxpoint.detection.person.watcher import PersonWatch
 from jaxpoint.errors import InsufficientDataError
-from jaxpoint.person.marker_tips import TipReason, marker_tips
-from jaxpoint.person.markers import CameraMarkers, disc, look_for_marker
+from jaxpoint.evidence.marker_views import MarkerViews
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
@@ -128,7 +129,7 @@ def judged(
     if model is None:
         return Row("not_taught", 0, float(np.median(distances)), np.nan, np.nan, np.nan)
     focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
-    markers: list[CameraMarkers] = []
+    markers: list[MarkerViews] = []
     for camera, frame in enumerate(frames):
         watcher = PersonWatch(rooms[camera], MOTION_PX, float(focal[camera]), person)
         markers.append(look_for_marker([(0, frame.image)], 1, watcher, model, MARKER))

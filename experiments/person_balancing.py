@@ -12,13 +12,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
+from jaxpoint.body.limb_arms import find_arm
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.person import ThesisSettings
-from jaxpoint.detect.arm import Crop
-from jaxpoint.detect.colour import Image, scaled
-from jaxpoint.detect.head import Head, find_head
-from jaxpoint.detect.person import cut_crop
-from jaxpoint.detect.silhouette import (
+from jaxpoint.detection.colour import Image, scale_channels
+from jaxpoint.detection.person.crop import Crop
+from jaxpoint.detection.person.head_template import Head, find_head
+from jaxpoint.detection.person.silhouette import (
     AdaptiveBackground,
     Silhouette,
     foreground,
@@ -26,9 +26,10 @@ from jaxpoint.detect.silhouette import (
     never_clears,
     silhouettes,
 )
-from jaxpoint.detect.skin import SkinModel, skin_model
-from jaxpoint.detect.thesis import thesis_forearm
-from jaxpoint.person.arms import find_arm
+from jaxpoint.detection.person.silhouette_evidence import SilhouetteEvidence
+from jaxpoint.detection.person.skin import SkinModel, skin_model
+from jaxpoint.detection.person.thesis_regions import thesis_forearm
+from jaxpoint.detection.person.watcher import cut_crop
 from person_pictures import SETTINGS, Row, drawn, read_image, read_video, sheet
 from pose2sim import BAR, BARRED, BARRED_SIZE, Labels, located, missed, read_labels, video_rig
 
@@ -103,7 +104,7 @@ def still(folder: Path, camera: str, images: list[Image]) -> Image:
         image = cv2.resize(image, BARRED_SIZE, interpolation=cv2.INTER_AREA)
         image = cv2.copyMakeBorder(image, BAR, BAR, 0, 0, cv2.BORDER_CONSTANT)
     median = np.median(np.stack(images[::10])[:, ::4, ::4], axis=0)
-    image = scaled(image, np.median((median + 1) / (image[::4, ::4] + 1.0), axis=(0, 1)))
+    image = scale_channels(image, np.median((median + 1) / (image[::4, ::4] + 1.0), axis=(0, 1)))
     for (x0, y0, x1, y1), (first, end) in STILL_PEOPLE[camera]:
         image[y0:y1, x0:x1] = np.median(np.stack([one[y0:y1, x0:x1] for one in images[first:end]]), axis=0)
     return image
@@ -208,7 +209,8 @@ def arms_in_space(
     for k in range(0, FRAMES, 5):
         ones = [camera[k] for camera in found]
         crops = [one and crop_of(images[k], one[0], model) for images, one in zip(videos.values(), ones)]
-        arm = find_arm(rig, crops, *head_of(rig, ones))
+        people = [None if crop is None else SilhouetteEvidence(crop) for crop in crops]
+        arm = find_arm(rig, people, *head_of(rig, ones))
         if arm is None:
             continue
         to_wrist = [np.linalg.norm(own[k, 1] - arm.tip) for own in arms.values()]

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.detect.colour import Image
-from jaxpoint.detect.endpoints import axis_line
-from jaxpoint.detect.region import label_regions
-from jaxpoint.detect.skin import SkinModel, skin_mask, skin_model
+from jaxpoint.detection.colour import Image
+from jaxpoint.detection.person.endpoints import axis_line
+from jaxpoint.detection.person.skin import SkinModel, skin_mask, skin_model
+from jaxpoint.detection.region import label_regions
 from person_pictures import SETTINGS, Row, read_image, sheet
 
 

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from jaxpoint.config.person import HeadSettings, SilhouetteSettings
-from jaxpoint.detect.colour import Image
-from jaxpoint.detect.head import find_head
-from jaxpoint.detect.silhouette import (
+from jaxpoint.detection.colour import Image
+from jaxpoint.detection.person.head_template import find_head
+from jaxpoint.detection.person.silhouette import (
     AdaptiveBackground,
     foreground,
     learn_background,

@@ -9,14 +9,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.config.person import PersonSettings
-from jaxpoint.detect.colour import Image
-from jaxpoint.detect.head import Head
-from jaxpoint.detect.silhouette import (
+from jaxpoint.detection.colour import Image
+from jaxpoint.detection.person.head_template import Head
+from jaxpoint.detection.person.silhouette import (
     Silhouette,
 )
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.video import open_frames
-from jaxpoint.report.person import titled
+from jaxpoint.report.contact_sheet import add_title
 
 Row = tuple[str, str, str]
 SETTINGS = PersonSettings()
@@ -56,7 +56,7 @@ def sheet(path: Path, pictures: list[tuple[str, Image]], columns: int, width: in
     small = []
     for title, picture in pictures:
         size = width, round(width * picture.shape[0] / picture.shape[1])
-        small.append(titled(np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), title, "", lines=1))
+        small.append(add_title(np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), title, "", lines=1))
     small += [np.zeros((1, width, 3), np.uint8)] * (-len(small) % columns)
     rows = []
     for first in range(0, len(small), columns):

@@ -10,10 +10,12 @@ import cv2
 import jax
 import numpy as np
 
+from jaxpoint.body.arm import ArmReason, PointingArm
+from jaxpoint.body.limb_arms import find_arm
+from jaxpoint.body.strip_pixels import StripPixels
 from jaxpoint.config.person import MarkerSettings, ThesisSettings
-from jaxpoint.detect.marker import MarkerModel
-from jaxpoint.detect.thesis import thesis_finger
-from jaxpoint.person.arms import ArmReason, PointingArm, find_arm
+from jaxpoint.detection.person.marker_regions import MarkerModel
+from jaxpoint.detection.person.thesis_regions import thesis_finger
 from jaxpoint.simulate.mesh import PARTS_A_PERSON
 from jaxpoint.simulate.session import SimulatedFrame
 from jaxpoint.simulate.truth import ARM
@@ -95,7 +97,7 @@ def _with_fewer_views(pixels: GesturePixels) -> tuple[float, float]:
         found = {}
         for count in axes:
             crops = [
-                seen[c].crop(sightings[c]) if c in usable[:count] and sightings[c] >= 0 else None
+                seen[c].person(sightings[c]) if c in usable[:count] and sightings[c] >= 0 else None
                 for c in range(len(seen))
             ]
             found[count] = find_arm(rig, crops, head, head_px)
@@ -166,8 +168,9 @@ def _view_score(
     parts = np.array(ARM[gesture.hand]) + PARTS_A_PERSON * gesture.person
     own = None if arm is None else arm.views[frame.camera]
     region = None
-    if own is not None and own.reason == ArmReason.FOUND:
-        region = _polygon(own.strip, own.tip, labels.shape)
+    if arm is not None and own is not None and own.reason == ArmReason.FOUND:
+        assert isinstance(arm.pixels, StripPixels)
+        region = _polygon(arm.pixels.strip(frame.camera), own.tip, labels.shape)
     person, found = pixels.largest[frame.frame, frame.camera], pixels.forearms[frame.frame, frame.camera]
     forearm = None if found is None else _mask_of(found, labels.shape)
     finger = None

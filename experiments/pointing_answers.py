@@ -6,18 +6,18 @@ from __future__ import annotations
 import jax.numpy as jnp
 import numpy as np
 
-from jaxpoint.answer.answers import SHARPER, Answer, Scene, answers
-from jaxpoint.answer.holds import Hold
-from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
-from jaxpoint.answer.lines import HeldJoints
+from jaxpoint.body.joints import Joints, is_left
 from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.answers import CALIBRATION_EXPONENT, Answer, ObjectScene, answers
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import fit_bias
 from jaxpoint.pointing.bias.pointings import Pointings
+from jaxpoint.pointing.held_joints import HeldJoints
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.joints import Joints, is_left
-from jaxpoint.pointing.line import KINDS, directions
+from jaxpoint.pointing.holds import Hold
+from jaxpoint.pointing.line_hypotheses import Correction, correction_of, line_hypotheses
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
+from jaxpoint.pointing.pointing_line import KINDS, directions
 from jaxpoint.pointing.room import Room
 from jaxpoint.pointing.shapes import Rectangle
 
@@ -47,22 +47,22 @@ def fitted(sessions: list[dict]) -> Bias:
     return fit_bias("blend", given, source="simulated people who point approximately, from pixels")
 
 
-def answers_of(session: dict, model: Bias, sharper: float = SHARPER) -> list[dict]:
+def answers_of(session: dict, model: Bias, exponent: float = CALIBRATION_EXPONENT) -> list[dict]:
     """One row a gesture."""
     things = [Thing(t["name"], Rectangle(np.array(t["corners"])), t["kind"]) for t in session["objects"]]
     centres = np.array([np.mean(t["corners"], axis=0) for t in session["objects"]])
-    scene = Scene(Objects.of(things), centres, Room(np.zeros(3), np.array(session["room"])), True)
+    scene = ObjectScene(Objects.of(things), centres, Room(np.zeros(3), np.array(session["room"])), True)
     keys = ("seed", "gesture", "person", "law", "target", "found", "views")
     rows = [
         {key: gesture[key] for key in keys} | {"thesis": _thesis(gesture, scene)} for gesture in session["gestures"]
     ]
     for mode, correction in (("raw", None), ("with the model", correction_of(model))):
-        for row, answer in zip(rows, _answered(session["gestures"], scene, correction, sharper), strict=True):
+        for row, answer in zip(rows, _answered(session["gestures"], scene, correction, exponent), strict=True):
             row[mode] = answer
     return rows
 
 
-def _answered(gestures: list[dict], scene: Scene, correction: Correction | None, sharper: float) -> list[dict]:
+def _answered(gestures: list[dict], scene: ObjectScene, correction: Correction | None, exponent: float) -> list[dict]:
     """Of each gesture the answer; those that were found are answered together, as `jaxpoint point` does."""
     given = [gesture for gesture in gestures if gesture["found"]]
     told = []
@@ -75,8 +75,8 @@ def _answered(gestures: list[dict], scene: Scene, correction: Correction | None,
             Hold(people.index(g["person"]), np.arange(2), np.array([g["start_s"], g["end_s"]]), g["views"])
             for g in given
         ]
-        ways = hypotheses(held, "auto", None, correction)
-        told = answers(holds, held, ways, scene, range(len(people)), [0] * len(given), sharper=sharper)
+        ways = line_hypotheses(held, "auto", None, correction)
+        told = answers(holds, held, ways, scene, range(len(people)), [0] * len(given), exponent=exponent)
     found = iter(told)
     return [_shown(gesture, next(found)) if gesture["found"] else NOT_FOUND for gesture in gestures]
 
@@ -91,7 +91,7 @@ def _shown(gesture: dict, answer: Answer) -> dict:
     }
 
 
-def _thesis(gesture: dict, scene: Scene) -> dict:
+def _thesis(gesture: dict, scene: ObjectScene) -> dict:
     """The first object on the thesis's ray; nothing where it meets none."""
     if gesture["thesis_tip_m"] is None:
         return {"name": None, "error_deg": None}

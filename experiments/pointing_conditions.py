@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxpoint.config.people import PointingSettings, Uniform
-from jaxpoint.pointing.bias.models import AbstractModel, Constant, ConstantElevation, Polynomial
+from jaxpoint.pointing.bias.models import AbstractBiasModel, Constant, ConstantElevation, Polynomial
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.solve import solve
 from pointing_monte_carlo import FINGER_RADIUS_M, Condition, Noise, Sample, point
@@ -218,7 +218,7 @@ def score(crowds: Crowds, one: Asked) -> list[Row]:
     return rows
 
 
-def correction(fitted: Sequence[Gestures], one: Asked, seed: int) -> AbstractModel:
+def correction(fitted: Sequence[Gestures], one: Asked, seed: int) -> AbstractBiasModel:
     """A bias fitted by Levenberg-Marquardt on pointings of people who are not scored."""
     sample = point(fitted, one.seen, FITTED_DRAWS, seed=seed)
     target = np.concatenate([own.target for own in fitted])[sample.gesture]

@@ -28,7 +28,7 @@ from jaxpoint.geometry.angles import azimuth_elevation, turned, wrapped
 from jaxpoint.geometry.arrays import as_float
 from jaxpoint.geometry.line import Ray, normalised
 from jaxpoint.geometry.pose import Pose
-from jaxpoint.pointing.bias.models import AbstractModel, Constant
+from jaxpoint.pointing.bias.models import AbstractBiasModel, Constant
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Shapes
 from jaxpoint.triangulation import triangulate
@@ -117,7 +117,7 @@ def point(
     draws: int,
     *,
     seed: int = 0,
-    model: AbstractModel | None = None,
+    model: AbstractBiasModel | None = None,
     size: int = PART,
 ) -> Sample:
     """Every gesture with so many draws of the noise.
@@ -197,7 +197,7 @@ def pointings(
     start: Int[Array, ""],
     count: Int[Array, ""],
     noise: Noise,
-    model: AbstractModel,
+    model: AbstractBiasModel,
     key: Array,
 ) -> Scored:
     """One part: pointings start, start + 1, ... of `count` gestures in turn. V cameras, B = size pointings."""

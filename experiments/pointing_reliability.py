@@ -2,8 +2,8 @@
 
 No image is drawn: joints are the simulator's, with the errors that pixels leave (head 8 mm, wrist 3, elbow and tip 4
 per axis). So no arm is missed and none is another limb's, which `pointing_evaluation.py` counts. Powers to which the
-probabilities are raised are held beside each other; `jaxpoint.answer.answers.SHARPER` was chosen on these seeds. Who
-points several times (--each) tells by them with which eye, and by how much the forearm misses.
+probabilities are raised are compared; `jaxpoint.pointing.answers.CALIBRATION_EXPONENT` was chosen on these seeds.
+People who point several times (--each) show by that with which eye they aim, and by how much their forearm misses.
 
     python experiments/pointing_reliability.py --powers 1 1.3
     python experiments/pointing_reliability.py --powers 1 1.3 --each 4 --seeds 500 520
@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxpoint.body.joints import joints_with_covariance
 from jaxpoint.config.people import PeopleSettings, PointingSettings
-from jaxpoint.pointing.joints import estimated_covariance
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.session import floor_of
 from pointing_evaluation import answered, summary
@@ -40,7 +40,7 @@ def main() -> None:
     with jax.enable_x64(True):
         sessions = [drawn(seed, args.each) for seed in range(*args.seeds)]
         for power in args.powers:
-            print(f"## Power {power:g}\n\n{summary(answered(sessions, sharper=power))}", flush=True)
+            print(f"## Power {power:g}\n\n{summary(answered(sessions, exponent=power))}", flush=True)
 
 
 def drawn(seed: int, each: int = 1) -> dict:
@@ -61,7 +61,7 @@ def _measured(actor, gesture, seed: int, rng: np.random.Generator) -> dict:
     ahead = (wrist - elbow) / np.linalg.norm(wrist - elbow)
     wrist = wrist - SEEN_M[0] * ahead
     places = np.concatenate([head, wrist - SEEN_M[1] * ahead, wrist, tip]) + rng.normal(0.0, NOISE_M)
-    found, covariance = estimated_covariance(jnp.asarray(places), jnp.diag(jnp.asarray(SAID_M) ** 2))
+    found, covariance = joints_with_covariance(jnp.asarray(places), jnp.diag(jnp.asarray(SAID_M) ** 2))
     return {
         "seed": seed,
         "gesture": gesture.number,

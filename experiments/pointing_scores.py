@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxpoint.answer.holds import arm_tracks, find_holds
-from jaxpoint.answer.lines import held_joints
 from jaxpoint.config.point import GestureSettings
+from jaxpoint.pointing.held_joints import held_joints
+from jaxpoint.pointing.holds import arm_tracks, find_holds
 from session_pixels import GesturePixels
 from thesis_line import thesis_line
 
@@ -40,11 +40,11 @@ def kept_gesture(pixels: GesturePixels) -> KeptGesture:
     """What is needed to answer the gesture without its pixels."""
     session, gesture = pixels.session, pixels.gesture
     with jax.enable_x64(True):
-        holds = find_holds(arm_tracks(pixels.following, pixels.times), GestureSettings())
+        holds = find_holds(arm_tracks(pixels.following), GestureSettings())
         thesis = _thesis(pixels)
         joints, covariance, views, span = [], [], 0, (0.0, 0.0)
         if holds:
-            hold = max(holds, key=lambda hold: hold.views * len(hold.moments))
+            hold = max(holds, key=lambda hold: hold.views * len(hold.frames))
             held = held_joints(session.rig, pixels.following, [hold])
             joints, covariance = np.asarray(held.joints.flat[0]).tolist(), np.asarray(held.covariance[0]).tolist()
             views, span = hold.views, (hold.start_s, hold.end_s)

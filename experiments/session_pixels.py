@@ -14,13 +14,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxpoint.body.following import Following, follow
 from jaxpoint.config.person import PersonSettings, ThesisSettings
-from jaxpoint.detect.motion import learn_threshold, motion_between
-from jaxpoint.detect.person import PersonWatch
-from jaxpoint.detect.silhouette import RoomBackground, Silhouette, foreground, learn_background, silhouettes
-from jaxpoint.detect.thesis import ThesisRegion, thesis_forearm
-from jaxpoint.person.following import Following, follow
-from jaxpoint.person.views import CameraViews, watch
+from jaxpoint.detection.person.frame_motion import learn_threshold, motion_between
+from jaxpoint.detection.person.silhouette import RoomBackground, Silhouette, foreground, learn_background, silhouettes
+from jaxpoint.detection.person.silhouette_views import AbstractCameraEvidence, watch
+from jaxpoint.detection.person.thesis_regions import ThesisRegion, thesis_forearm
+from jaxpoint.detection.person.watcher import PersonWatch
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession
 
@@ -46,7 +46,7 @@ class GesturePixels:
     moments: list[int]
     held: range  # those of the hold
     frames: dict[View, SimulatedFrame]
-    seen: list[CameraViews]  # of each camera
+    seen: list[AbstractCameraEvidence]  # of each camera
     following: Following
     largest: dict[View, Silhouette | None]  # the thesis's person, of the hold alone
     forearms: dict[View, ThesisRegion | None]  # and the pointing region that it finds there
@@ -111,7 +111,7 @@ def _watched(
     frames: dict[View, SimulatedFrame],
     rooms: list[EmptyRoom],
     person: PersonSettings,
-) -> tuple[list[CameraViews], Float[np.ndarray, " C"]]:
+) -> tuple[list[AbstractCameraEvidence], Float[np.ndarray, " C"]]:
     """What every camera saw, and its milliseconds a frame."""
     focal = np.asarray(session.rig.cameras.focal).mean(axis=1)
     seen, spent = [], np.zeros(len(rooms))

@@ -8,7 +8,7 @@ On `skin_hands30` (photographs of hands with their exact masks) the threshold is
 (intersection over union) inside the boxes around the hands, means over the images. The fitted model of an image is made
 without that image. This is the harder question, and the one that decides.
 
-The last lines are the numbers in `jaxpoint.detect.skin`, fitted to everything.
+The last lines are the numbers in `jaxpoint.detection.person.skin`, fitted to everything.
 
     python experiments/skin_models.py DATA --out skin_models.md
 """
@@ -23,7 +23,7 @@ import numpy as np
 import tyro
 
 from jaxpoint.config.person import SkinSettings
-from jaxpoint.detect.skin import SkinModel, fit_skin, skin_likelihood, skin_mask, skin_model
+from jaxpoint.detection.person.skin import SkinModel, fit_skin, skin_likelihood, skin_mask, skin_model
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import replacing
 

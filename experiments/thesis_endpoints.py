@@ -2,10 +2,10 @@
 
 The thesis (7.2.2) takes the tip of the forearm on the region's outline and its base at the centroid, and joins the two
 points as triangulated from two views; it reports a nearly constant elevation error of 4.885 degrees (sd 0.867), which
-it explains by the people. SPEC 6 suspects the rule: a tip on the upper outline and a base on the axis tilt the line up
-by about atan(1.5 cm / 17 cm) = 5.04 degrees. Here nothing else can err. Simulated people point perfectly, with straight
-arms and no error term in their law; the regions are the true masks of forearm and hand, the cameras the true ones, the
-two views those of the highest eccentricity and most pixels (7.3). One frame a gesture, two laws:
+it explains by the people. The rule is suspected instead: a tip on the upper outline and a base on the axis tilt the
+line up by about atan(1.5 cm / 17 cm) = 5.04 degrees. Here nothing else can err. Simulated people point perfectly, with
+straight arms and no error term in their law; the regions are the true masks of forearm and hand, the cameras the true
+ones, the two views those of the highest eccentricity and most pixels (7.3). One frame a gesture, two laws:
 
 - `accurate`: eye, fingertip and target in line. The arm itself hangs on the shoulder and rises above that line, so that
   even the true forearm is no line to the target.
@@ -44,9 +44,9 @@ from jaxpoint.config.people import (
 )
 from jaxpoint.config.person import ThesisSettings
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.detect.endpoints import AxisLine, Endpoints, axis_line, forearm_endpoints
-from jaxpoint.detect.region import Region, label_regions, region_of
-from jaxpoint.detect.thesis import of_shape
+from jaxpoint.detection.person.endpoints import AxisLine, Endpoints, axis_line, forearm_endpoints
+from jaxpoint.detection.person.thesis_regions import of_shape
+from jaxpoint.detection.region import Region, label_regions, region_of
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.session import SimulatedSession, simulate_session

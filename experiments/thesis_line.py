@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.detect.thesis import ThesisRegion
+from jaxpoint.detection.person.thesis_regions import ThesisRegion
 from jaxpoint.geometry.line import Ray
 from jaxpoint.triangulation import triangulate
 

@@ -14,7 +14,7 @@ from videos import write_stamped
 
 from jaxpoint.cli import main
 from jaxpoint.commands.detect_led import REMEDIES
-from jaxpoint.detect.blob import Reason
+from jaxpoint.detection.light.blob import Reason
 from jaxpoint.io.tracks import load_tracks
 
 SIZE = (160, 120)

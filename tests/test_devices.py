@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from jaxpoint import cores, devices
-from jaxpoint.pointing import lines
+from jaxpoint.pointing import batching as lines
 
 TWO_DEVICES = """
 import jax, jax.numpy as jnp, numpy as np
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing import lines
+from jaxpoint.pointing import batching as lines
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.shapes import Sphere
 from jaxpoint.pointing.posterior import posterior

@@ -3,6 +3,8 @@
 import json
 import re
 import shlex
+from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,15 @@ import pytest
 from jaxpoint.camera.lenses import LENSES
 from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
+from jaxpoint.detection import PeopleRequest, detect_people, unregister_detector
 from jaxpoint.geometry.line import Ray
 from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.objects import parse_objects
+from jaxpoint.io.session import open_session
 from jaxpoint.io.tracks import save_tracks
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.shapes import unregister
 from jaxpoint.tracks import Tracks
 
@@ -77,7 +81,7 @@ def test_the_readme_is_short():
 def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
-    run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2)}
+    run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2), ("docs/extend.md", 3)}
     imported = {("docs/guides/uncertainty.md", 0), ("docs/guides/clusters.md", 0)}  # by tests/test_public.py
     assert shown == run | imported
 
@@ -165,11 +169,28 @@ def test_the_shape_shown_is_met():
 
 def test_the_target_shown_joins_a_light():
     names: dict = {}
-    exec(blocks("docs/extend.md", "python")[2], names)
+    exec(blocks("docs/extend.md", "python")[3], names)
     light = Tracks.from_pixels(np.full((4, 2, 2), 5.0), np.array([[640, 480], [640, 480]]))
     both = names["with_cube"](light, np.full((8, 2, 2), 7.0), np.zeros(8, int), np.arange(8))
     assert both.frames == 12
     assert both.targets[0].freedoms == 6
+
+
+def test_the_detector_shown_detects():
+    folder = Path(str(files("jaxpoint"))) / "data" / "session"
+    whole = open_session(folder)
+    session = replace(whole, names=whole.names[:2], sizes=whole.sizes[:2], frame_index=whole.frame_index[:, :2])
+    try:
+        exec(blocks("docs/extend.md", "python")[2], {})
+        views = detect_people(PeopleRequest(session), "mine")
+        for view, own in zip(views, session.frame_index.T, strict=True):
+            np.testing.assert_array_equal(view.frame, np.flatnonzero(own >= 0))
+        assert views[0].head_found.all()
+        joints = views[1].person(0).joints()
+        assert joints.seen.sum() == 3
+        np.testing.assert_array_equal(joints.pixels[joints.seen][0], [100.0, 50.0])
+    finally:
+        unregister_detector("mine")
 
 
 def test_the_calibration_shown_can_be_read(tmp_path):

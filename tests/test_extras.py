@@ -229,14 +229,14 @@ def landmarks(tmp_path_factory):
 
 
 def test_point_keeps_the_answers(landmarks, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("jaxpoint.answer.shown.pointing_sheet", broken)
-    monkeypatch.setattr("jaxpoint.report.pointing.write_pointing_report", broken)
-    monkeypatch.setattr("jaxpoint.answer.sentence.check_speaker", lambda: None)
+    monkeypatch.setattr("jaxpoint.report.gesture_pictures.pointing_sheet", broken)
+    monkeypatch.setattr("jaxpoint.report.pointing_page.write_pointing_report", broken)
+    monkeypatch.setattr("jaxpoint.report.answer_text.check_speaker", lambda: None)
 
     def mute(_):
         raise MissingDependencyError("There is no voice.")
 
-    monkeypatch.setattr("jaxpoint.answer.sentence.speak", mute)
+    monkeypatch.setattr("jaxpoint.report.answer_text.speak", mute)
     given = ["point", SESSION, "--landmarks", landmarks, "--speak", "--out", tmp_path / "answers"]
     code, out, _ = run(*given, capsys=capsys)
     assert code == 0
@@ -248,7 +248,8 @@ def test_point_keeps_the_answers(landmarks, tmp_path, monkeypatch, capsys):
 
 def test_a_gesture_without_any_image_is_shown_without_a_picture(landmarks, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "jaxpoint.answer.shown.images_of", lambda session, moments: [[None] * len(moments)] * len(session.names)
+        "jaxpoint.report.gesture_pictures.images_of",
+        lambda session, frames: [[None] * len(frames)] * len(session.names),
     )
     code, out, _ = run("point", SESSION, "--landmarks", landmarks, "--out", tmp_path / "answers", capsys=capsys)
     assert (code, lines_of(out)) == (0, [])
@@ -256,8 +257,8 @@ def test_a_gesture_without_any_image_is_shown_without_a_picture(landmarks, tmp_p
 
 
 def test_detect_person_keeps_the_tables(landmarks, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("jaxpoint.person.pictures.sheets", broken)
-    monkeypatch.setattr("jaxpoint.report.people.write_people_report", broken)
+    monkeypatch.setattr("jaxpoint.report.people_pictures.sheets", broken)
+    monkeypatch.setattr("jaxpoint.report.people_page.write_people_report", broken)
     given = ["detect", "person", SESSION, "--landmarks", landmarks, "--out", tmp_path / "people"]
     code, out, _ = run(*given, capsys=capsys)
     assert (code, len(lines_of(out))) == (0, 2)

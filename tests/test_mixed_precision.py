@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxpoint.body.limb_axis import fit_axis
 from jaxpoint.camera.resection import resect
 from jaxpoint.geometry.arrays import promote
 from jaxpoint.geometry.pose import Similarity
-from jaxpoint.pointing.axis import fit_axis
 from jaxpoint.triangulation import triangulate
 
 SINGLE, DOUBLE = np.float32, np.float64

@@ -11,9 +11,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxpoint.body import following as following
 from jaxpoint.cli import main
 from jaxpoint.errors import MissingDependencyError
-from jaxpoint.person import following
 
 MOMENTS = range(28, 45)  # the second gesture, at the window, with what is before and after
 CAMERAS = ("cam_0", "cam_1", "cam_2", "cam_5")
@@ -28,7 +28,7 @@ def run(*arguments, capsys):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A session of one gesture: the embedded one, with fewer moments."""
+    """A session of one gesture: the embedded one, with fewer frames."""
     short = tmp_path_factory.mktemp("point") / "session"
     short.mkdir()
     with as_file(files("jaxpoint") / "data" / "session") as whole:
@@ -133,11 +133,11 @@ def test_what_cannot_be_answered_is_refused_in_a_sentence(folder, options, tmp_p
         shutil.copy(folder / name, one / name)
     (tmp_path / "times.csv").write_text("start_s,end_s\n50,51\n")
     cases = [
-        ((folder, "--gesture.min-stretch", 0.99), 4, "No gesture was found in 17 moments"),
+        ((folder, "--gesture.min-stretch", 0.99), 4, "No gesture was found in 17 frames"),
         ((one,), 4, "has 1 camera; a line in the room takes two views or more"),
         ((folder, "--calibration", no_scale), 2, "has no metric scale"),
         ((folder, "--calibration", small), 2, "is 512 x 288 px, but"),
-        ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "is outside of the room"),
+        ((folder, "--objects", shifted(folder / "objects.csv", tmp_path)), 4, "The gesture starts outside the room"),
         ((folder, "--times", tmp_path / "times.csv"), 4, "Between 50.00 and 51.00 s no arm was measured, as the"),
         ((folder, "--line", "blend"), 2, "The weights of a blend"),
         ((folder, "--room.low", 0, 0, 0), 2, "low and high corner both"),
@@ -163,7 +163,7 @@ def test_who_cannot_speak_says_so_before_any_work(folder, tmp_path, capsys, monk
 
 
 def test_answers_are_spoken(monkeypatch):
-    from jaxpoint.answer.sentence import speak
+    from jaxpoint.report.answer_text import speak
 
     said = []
     monkeypatch.setattr("shutil.which", lambda program: f"/usr/bin/{program}")
@@ -182,10 +182,10 @@ def answered(monkeypatch):
         for i, name in enumerate(("window", "door"), start=1)
     ]
     pointed = SimpleNamespace(answers=answers, notes=("A note.",))
-    monkeypatch.setattr("jaxpoint.commands.point.Point.answered", lambda *_: (None, None, pointed))
-    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", lambda *_: {"gestures": 2})
-    monkeypatch.setattr("jaxpoint.answer.sentence.sentence", lambda answer: answer.text)
-    monkeypatch.setattr("jaxpoint.answer.sentence.as_json", lambda answer: {"answer": answer.name})
+    monkeypatch.setattr("jaxpoint.commands.point.Point.find_answers", lambda *_: (None, None, pointed))
+    monkeypatch.setattr("jaxpoint.commands.answers_folder.write_answers", lambda *_: {"gestures": 2})
+    monkeypatch.setattr("jaxpoint.report.answer_text.sentence", lambda answer: answer.text)
+    monkeypatch.setattr("jaxpoint.report.answer_text.as_json", lambda answer: {"answer": answer.name})
 
 
 @pytest.mark.parametrize(("flags", "first"), [(["--follow"], '{"answer": "window"}'), ([], "  1     2.0 s  person 1")])
@@ -196,7 +196,7 @@ def test_answers_are_told_before_anything_is_written(answered, folder, tmp_path,
         told.extend(capsys.readouterr().out.splitlines())
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("jaxpoint.commands.answered.write_answers", full)
+    monkeypatch.setattr("jaxpoint.commands.answers_folder.write_answers", full)
     code, out, err = run("point", folder, *flags, "--out", tmp_path / "out", capsys=capsys)
     assert (code, out) == (3, "")
     assert "No space left" in err
@@ -205,7 +205,7 @@ def test_answers_are_told_before_anything_is_written(answered, folder, tmp_path,
 
 
 def test_a_voice_that_does_not_start_says_why(monkeypatch):
-    from jaxpoint.answer.sentence import speak
+    from jaxpoint.report.answer_text import speak
 
     def broken(*_, **__):
         raise OSError(8, "Exec format error")

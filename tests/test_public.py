@@ -20,7 +20,7 @@ from jaxpoint.lazy import homes_in
 
 ROOT = Path(jaxpoint.__file__).parent
 PACKAGES = (
-    *("calibration", "camera", "config", "detect", "geometry", "io"),
+    *("body", "calibration", "camera", "config", "detection", "evidence", "geometry", "io"),
     *("pointing", "pointing.shapes", "report", "simulate"),
 )
 WANTED = {

@@ -19,28 +19,31 @@ import jax
 import numpy as np
 import tyro
 
-from jaxpoint.answer.answers import Scene, answers
-from jaxpoint.answer.holds import Hold
-from jaxpoint.answer.hypotheses import Correction, correction_of, hypotheses
-from jaxpoint.answer.lines import held_joints
-from jaxpoint.answer.sentence import sentence
+from jaxpoint.body.arm import ArmReason, ArmView, PointingArm
+from jaxpoint.body.following import Following
+from jaxpoint.body.predicted_axis import strips_axis
+from jaxpoint.body.stature import limb_span
+from jaxpoint.body.strip_pixels import strip_pixels
+from jaxpoint.body.strips import Strip
+from jaxpoint.body.tracking.head_tracks import HeadTracks, Status, Tracking
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.commands.console import table
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.detect.arm import SLICES, Strip
+from jaxpoint.evidence.limb_slices import SLICES
 from jaxpoint.geometry.angles import turned
-from jaxpoint.person.arms import ArmReason, ArmView, PointingArm, limb_span
-from jaxpoint.person.following import Following
-from jaxpoint.person.promise import strips_axis
+from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import Constant
 from jaxpoint.pointing.bias.spread import Spread
+from jaxpoint.pointing.held_joints import held_joints
+from jaxpoint.pointing.holds import Hold
+from jaxpoint.pointing.line_hypotheses import Correction, correction_of, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.room import Room
 from jaxpoint.pointing.shapes import Rectangle
+from jaxpoint.report.answer_text import sentence
 from jaxpoint.simulate.scene import make_scene
 from jaxpoint.simulate.viewpoints import random_viewpoints, rig_of
-from jaxpoint.tracking.result import HeadTracks, Status, Tracking
 
 HEAD_M = 1.6  # above the floor
 PIXEL_NOISE = 0.5
@@ -65,7 +68,7 @@ class Given:
     rig: CameraRig
     following: Following
     hold: Hold
-    scene: Scene
+    scene: ObjectScene
     camera_covariance: np.ndarray
     correction: Correction
     target: str
@@ -94,7 +97,7 @@ def answered(given: Given, *, known: bool) -> str:
     """The sentence."""
     with jax.enable_x64(True):
         joints = held_joints(given.rig, given.following, [given.hold], given.camera_covariance if known else None)
-        ways = hypotheses(joints, "auto", None, given.correction)
+        ways = line_hypotheses(joints, "auto", None, given.correction)
         return sentence(answers([given.hold], joints, ways, given.scene, [1], [0], known_errors=known)[0])
 
 
@@ -130,7 +133,7 @@ def drawn(options: GestureTime) -> Given:
     behaviour = Spread(np.deg2rad(4.0) ** 2 * np.eye(2), 8)
     bias = Bias(("forearm",), Constant(BIAS), behaviour, behaviour.scale, behaviour,
                 Fitted("", 0, 0, 0, None, None))  # fmt: skip
-    scene = Scene(objects, centres, Room(np.zeros(3), room.size), True)
+    scene = ObjectScene(objects, centres, Room(np.zeros(3), room.size), True)
     spread = np.tile([*[1e-3] * 6, *[1.0] * 4, *[1e-4] * 5], len(rig))
     following = _following(rig, head, times, arms)
     return Given(rig, following, hold, scene, np.diag(spread**2), correction_of(bias), room.objects[target].name)
@@ -142,10 +145,12 @@ def _arm(rig: CameraRig, head: np.ndarray, tip: np.ndarray, ahead: np.ndarray, r
     middle = np.asarray(rig.project(places)).transpose(1, 0, 2)
     middle = middle + rng.normal(0.0, PIXEL_NOISE, middle.shape)
     axis = strips_axis(rig, middle, np.ones(middle.shape[:2], bool), tip, ahead, span)
-    width = np.full(SLICES, 20.0)
+    strips = [Strip(own, np.full(SLICES, 20.0)) for own in middle]
     tips = np.asarray(rig.project(tip)) + rng.normal(0.0, PIXEL_NOISE, (len(rig), 2))
-    views = [ArmView(ArmReason.FOUND, tips[c], Strip(middle[c], width, True), 0.5, 1.0) for c in range(len(rig))]
-    return PointingArm(tip + rng.normal(0.0, 0.003, 3), 0.01, jax.tree.map(np.asarray, axis), tuple(views), 0.5)
+    views = tuple(ArmView(ArmReason.FOUND, tips[c], strips[c].base, 0.5, 1.0) for c in range(len(rig)))
+    axis = jax.tree.map(np.asarray, axis)
+    pixels = strip_pixels(strips, tips, axis, span)
+    return PointingArm(tip + rng.normal(0.0, 0.003, 3), 0.01, axis, views, 0.5, pixels)
 
 
 def _following(rig: CameraRig, head: np.ndarray, times: np.ndarray, arms: dict) -> Following:

@@ -23,12 +23,12 @@ import numpy as np
 import tyro
 
 from jaxpoint.config.person import PersonSettings, ThesisSettings, thesis_person
-from jaxpoint.detect.head import find_head
-from jaxpoint.detect.motion import motion_between
-from jaxpoint.detect.person import PersonWatch
-from jaxpoint.detect.silhouette import RoomBackground, foreground, learn_background, silhouettes
-from jaxpoint.detect.skin import skin_mask, skin_model
-from jaxpoint.detect.thesis import thesis_forearm
+from jaxpoint.detection.person.frame_motion import motion_between
+from jaxpoint.detection.person.head_template import find_head
+from jaxpoint.detection.person.silhouette import RoomBackground, foreground, learn_background, silhouettes
+from jaxpoint.detection.person.skin import skin_mask, skin_model
+from jaxpoint.detection.person.thesis_regions import thesis_forearm
+from jaxpoint.detection.person.watcher import PersonWatch
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.io.files import replacing
 from jaxpoint.io.session import open_session

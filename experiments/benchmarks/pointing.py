@@ -24,9 +24,9 @@ from scipy.stats import norm, qmc
 
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
 from jaxpoint.pointing.mass import across
 from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.shapes import Rectangle
 

@@ -28,9 +28,9 @@ import tyro
 from jaxtyping import Array
 from triangulation import scene_of
 
+from jaxpoint.body import limb_axis as axis
 from jaxpoint.compilation import jit
-from jaxpoint.detect import gaussian
-from jaxpoint.pointing import axis
+from jaxpoint.detection.light import gaussian as gaussian
 from jaxpoint.triangulation import triangulate
 
 LIBRARY = optx.LevenbergMarquardt(rtol=1e-6, atol=1e-8, linear_solver=lx.Normal(lx.Cholesky()))
@@ -116,7 +116,7 @@ def axes(options: Small) -> list[Way]:
         return axis._Given(jnp.asarray(centres), jnp.asarray(focal), rays, tip, direction, *known, seen=seen[0])
 
     def own(rays: Array, tip: Array, direction: Array) -> Array:
-        found = axis._settled(given_of(rays, tip, direction))
+        found = axis._optimum(given_of(rays, tip, direction))
         return jnp.concatenate(found_ends(rays, tip, direction, found))
 
     def found_ends(rays: Array, tip: Array, direction: Array, offsets: Array) -> tuple[Array, Array]:
@@ -133,7 +133,7 @@ def axes(options: Small) -> list[Way]:
             return value * jnp.sqrt(shares) * jnp.sqrt(jnp.where(square > 0, jnp.log1p(square) / safe, 1.0))
 
         def narrower(offsets: Array, scale: Array) -> tuple[Array, None]:
-            return least_squares(residuals, offsets, (scale, axis._counted(given, offsets))), None
+            return least_squares(residuals, offsets, (scale, axis._slice_weights(given, offsets))), None
 
         scales = jnp.asarray([8.0, 2.0, 1.0, 1.0])  # which slices count is found anew before each
         return jnp.concatenate(found_ends(rays, tip, direction, jax.lax.scan(narrower, jnp.zeros(4), scales)[0]))

@@ -2,7 +2,7 @@
 from .tracks import PointPrior as PointPrior, Tracks as Tracks, join_tracks as join_tracks
 from .targets import Target as Target
 from .io.tracks import read_tracks as read_tracks
-from .detect.led import detect_led as detect_led
+from .detection.light.led import detect_led as detect_led
 from .config import LedSettings as LedSettings
 
 # Calibration
@@ -48,13 +48,13 @@ from .calibration.chain import Chain as Chain, chain_of as chain_of
 from .compilation import jit_once as jit_once
 
 # Pointing
-from .pointing.line import PointingLine as PointingLine
+from .pointing.pointing_line import PointingLine as PointingLine
 from .pointing.objects import Objects as Objects
 from .io.objects import read_objects as read_objects
 from .pointing.hits import Hits as Hits, intersect as intersect
 from .pointing.nearest import Nearest as Nearest, nearest as nearest
 from .pointing.posterior import Behaviour as Behaviour, Posterior as Posterior, posterior as posterior
-from .pointing.words import words_evidence as words_evidence
+from .pointing.word_evidence import words_evidence as words_evidence
 
 # How people miss
 from .pointing.bias.bias import Bias as Bias

@@ -5,9 +5,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from jaxpoint.body.tracking.head_tracks import HeadTracks, Status
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.heads import HEAD_COLUMNS, read_heads, save_heads
-from jaxpoint.tracking.result import HeadTracks, Status
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def test_lost_images_stay_gaps(tmp_path):
     cv2.imwrite(str(tmp_path / "videos" / "masks" / "cam0.png"), picture(0))
     session = open_session(tmp_path)
     assert session.names == ("cam0", "cam1")
-    np.testing.assert_array_equal(session.moments, np.arange(24))
+    np.testing.assert_array_equal(session.frame_ids, np.arange(24))
     np.testing.assert_array_equal(np.flatnonzero(session.frame_index[:, 1] < 0), LOST)
     assert "Images are paired by the number at the start of the names." in session.notes
 

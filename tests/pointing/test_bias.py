@@ -11,17 +11,17 @@ from jax.test_util import check_grads
 from scipy.optimize import least_squares
 from scipy.stats import multivariate_t
 
+from jaxpoint.body.joints import estimate_joints, is_left
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.angles import azimuth_elevation, turned
-from jaxpoint.pointing.bias.drawn import drawn
+from jaxpoint.pointing.bias.corrected_lines import corrected_lines
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias, left_out
 from jaxpoint.pointing.bias.learn import learn_bias
 from jaxpoint.pointing.bias.models import Blend, Constant, Personal, Polynomial
 from jaxpoint.pointing.bias.score import errors_deg, score
 from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
-from jaxpoint.pointing.joints import estimated, is_left
 
 LOSS = np.deg2rad(1.5)
 BENT = Blend(np.array([0.1, -0.2]), np.array([[0.4, -0.3], [0.2, 0.5]]), np.array([True, True]))
@@ -128,11 +128,11 @@ def test_a_drawn_line_knows_that_its_lines_share_joints(side):
     head, elbow, wrist, tip = (
         np.array([[0, 0, 1.6], [0.2, -0.25, 1.25], [0.42, -0.18, 1.4], [0.58, -0.12, 1.46]]) * mirror
     )
-    middle = estimated(head, elbow, wrist, tip)
+    middle = estimate_joints(head, elbow, wrist, tip)
     assert bool(is_left(middle)) == (side < 0)
     half = 0.002 * draw.normal(size=(18, 18))
     joints = np.asarray(middle.flat) + draw.normal(size=(20000, 18)) @ half.T
-    found = drawn(kinds, model, jax.tree.map(lambda leaf: leaf[None], middle), (half @ half.T)[None])
+    found = corrected_lines(kinds, model, jax.tree.map(lambda leaf: leaf[None], middle), (half @ half.T)[None])
 
     def turned_by_hand(flat):
         own = flat.reshape(-1, 6, 3) * mirror

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.answer.pipeline import scene_of
 from jaxpoint.cli import main
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.line import Ray
+from jaxpoint.io.object_scene import read_scene
 from jaxpoint.io.objects import read_objects
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.mass import View, across
+from jaxpoint.pointing.mass import OutlineView, across
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.shapes import AbstractShape, register, unregister
 from jaxpoint.pointing.shapes.polygon import in_frame
@@ -207,7 +207,7 @@ def test_its_mass_has_derivatives(table):
     start = jnp.asarray(start / np.linalg.norm(start))
 
     def mass(direction):
-        view = View.of(PointingLine(Ray(TIP, direction), 1e-4 * jnp.eye(6)), jnp.diag(SPREAD**2), 4)
+        view = OutlineView.of(PointingLine(Ray(TIP, direction), 1e-4 * jnp.eye(6)), jnp.diag(SPREAD**2), 4)
         return shapes.primitives[0].masses(view)[0]
 
     slopes = jit_once(jax.value_and_grad(mass))
@@ -217,7 +217,7 @@ def test_its_mass_has_derivatives(table):
 
 
 def test_it_is_drawn_and_bounds_the_room(table):
-    scene, _ = scene_of(table)
+    scene, _ = read_scene(table)
     np.testing.assert_allclose(scene.centres[1], BIN.center, atol=1e-12)
     room = RoomScene(
         np.asarray(scene.room.low), np.asarray(scene.room.high), scene.objects.outlines, TIP[None], ("cam",)

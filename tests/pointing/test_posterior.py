@@ -12,12 +12,12 @@ from scipy.stats import multivariate_normal, multivariate_t
 from jaxpoint.compilation import jit_once
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
-from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.mass import View, across, angle
+from jaxpoint.pointing.mass import OutlineView, across, angle
 from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour, posterior
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
-from jaxpoint.pointing.words import words_evidence
+from jaxpoint.pointing.word_evidence import words_evidence
 
 TIP = np.array([3.0, 2.5, 1.3])
 AHEAD = np.array([1.0, 0.2, -0.1]) / np.linalg.norm([1.0, 0.2, -0.1])
@@ -26,7 +26,7 @@ SPREAD = np.deg2rad([4.0, 3.0])
 
 @partial(jit_once, static_argnames="freedom")
 def masses(line, shapes, spread, freedom):
-    view = View.of(line, spread, freedom)
+    view = OutlineView.of(line, spread, freedom)
     return shapes.each(lambda own: own.masses(view))
 
 

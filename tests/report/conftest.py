@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lights import Recording, record_light
 from scipy.interpolate import CubicSpline
 
 from jaxpoint.calibration.alignment import Alignment
@@ -82,3 +83,9 @@ def wave(shifts, seed=0, frames=400) -> np.ndarray:
 @pytest.fixture(scope="session")
 def waves():
     return wave
+
+
+@pytest.fixture(scope="session")
+def recording(tmp_path_factory) -> Recording:
+    """120 frames of a light, four of them spoilt."""
+    return record_light(tmp_path_factory.mktemp("spoilt"))

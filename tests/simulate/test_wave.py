@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from jaxpoint.config import LedSettings
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import SimulationSettings, ViewpointSettings, WaveSettings
-from jaxpoint.detect.led import detect_led
+from jaxpoint.detection.light.led import detect_led
 from jaxpoint.simulate.capsules import Capsule
 from jaxpoint.simulate.session import simulate_session
 from jaxpoint.simulate.wave import mirrored, simulate_wave

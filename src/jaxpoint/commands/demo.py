@@ -22,8 +22,8 @@ from jaxpoint.errors import QualityError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.answer.pipeline import Pointed
     from jaxpoint.calibration.result import Calibration
+    from jaxpoint.pointing.pipeline import SessionAnswers
 
 INTRO = (
     "Nobody told the program where the cameras are, what lenses they have, or who points at what. It saw a light waved "
@@ -80,7 +80,7 @@ class Demo(SeededOptions):
         return outcome
 
     def _answered(self, session: Path, out: Path, progress: Progress) -> Outcome:
-        from jaxpoint.commands.answered import write_answers
+        from jaxpoint.commands.answers_folder import write_answers
         from jaxpoint.commands.point import Point, answer_lines
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.runs import save_run
@@ -96,7 +96,7 @@ class Demo(SeededOptions):
             person=self.room.detect.person,
             track=self.room.track,
         )
-        opened, following, pointed = point.answered(progress, calibration)
+        opened, following, pointed = point.find_answers(progress, calibration)
         meant, missed = true_targets(session / "truth" / "gestures.csv", pointed)
         right = sum(answer.name == meant.get(answer.number) for answer in pointed.answers)
         true_rig = read_calibration(session / "calibration.json").rig
@@ -156,7 +156,7 @@ class Demo(SeededOptions):
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.align import aligned
         from jaxpoint.config import AlignSettings
-        from jaxpoint.detect.led import detect_led
+        from jaxpoint.detection.light.led import detect_led
         from jaxpoint.io.files import natural_key
         from jaxpoint.io.session import recordings
 
@@ -177,7 +177,7 @@ def embedded_session() -> Iterator[Path]:
         yield folder
 
 
-def true_targets(path: Path, pointed: Pointed) -> tuple[dict[int, str], list[str]]:
+def true_targets(path: Path, pointed: SessionAnswers) -> tuple[dict[int, str], list[str]]:
     """What is meant, by the number of the answer, and what was meant where there is no answer."""
     with path.open(encoding="utf-8", newline="") as file:
         gestures = list(csv.DictReader(file))

@@ -19,7 +19,7 @@ from jaxpoint.extras import extra
 if TYPE_CHECKING:
     import numpy as np
 
-    from jaxpoint.detect.led import LedDetection
+    from jaxpoint.detection.light.led import LedDetection
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,7 +44,7 @@ class DetectLed(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write the tracks and, beside them, how the detection went in figures and pictures."""
         hush_opencv(self.verbose)
-        from jaxpoint.detect.led import DetectionInterrupted, detect_led
+        from jaxpoint.detection.light.led import DetectionInterrupted, detect_led
         from jaxpoint.report.html import write_detection_section
 
         out = self.needed_file("tracks.npz")
@@ -74,13 +74,13 @@ class DetectLed(SeededOptions):
         lines = table(("camera", "found", "sigma px", "channel", "rejected"), rows)
         return Outcome(
             figures,
-            (*lines, *_told(detection), f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
+            (*lines, *_summary(detection), f"{figures['seconds']:.1f} s", *at("Pictures", page), f"Tracks: {out}"),
             _failure(figures, page),
             tuple(missing),
         )
 
 
-def _told(detection: LedDetection) -> tuple[str, ...]:
+def _summary(detection: LedDetection) -> tuple[str, ...]:
     """What paired the frames, and where the cameras were not looked at."""
     masked = [name for name, mask in zip(detection.tracks.names, detection.masks) if mask is not None]
     without = [name for name in detection.tracks.names if name not in masked]
@@ -122,7 +122,7 @@ def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:
     """One row of crops, with its caption, for each camera and reason."""
     import numpy as np
 
-    from jaxpoint.detect.contact import contact_sheet, mask_overview
+    from jaxpoint.report.light_crops import contact_sheet, mask_overview
 
     strips = []
     for camera, name in enumerate(detection.tracks.names):
@@ -140,7 +140,7 @@ def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:
 
 def _write(out: Path, detection: LedDetection) -> dict[str, Any]:
     """The tracks as `.npz` and how the detection went as `.json`; returns the latter."""
-    from jaxpoint.detect.led import Reason
+    from jaxpoint.detection.light.led import Reason
     from jaxpoint.io.tracks import save_tracks
     from jaxpoint.runs import versions, write_json
 

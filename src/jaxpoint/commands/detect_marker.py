@@ -21,10 +21,10 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.detect.marker import MarkerModel
+    from jaxpoint.body.marker_tips import MarkerTip
+    from jaxpoint.detection.person.marker_regions import MarkerModel
+    from jaxpoint.evidence.marker_views import MarkerViews
     from jaxpoint.io.session import Session
-    from jaxpoint.person.marker_tips import MarkerTip
-    from jaxpoint.person.markers import CameraMarkers
 
 _FAINT = "Pick more of the marker, in other light too, or widen --marker.deviations."
 
@@ -43,7 +43,7 @@ class DetectMarker(SeededOptions):
     session: Annotated[Path, tyro.conf.Positional]
     """Folder of the session, or of its videos."""
     samples: Path
-    """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the moment."""
+    """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the frame."""
     calibration: Path | None = None
     """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
     unit: Unit = None
@@ -74,12 +74,12 @@ class DetectMarker(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write tables and a page of pictures into `--out`."""
         hush_opencv(self.verbose)
+        from jaxpoint.body.marker_tips import marker_tips
+        from jaxpoint.detection.person.marker_watch import learn_marker, watch_markers
+        from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.marker_samples import read_marker_samples
         from jaxpoint.io.session import open_session
         from jaxpoint.io.table import check_table_path
-        from jaxpoint.person.marker_tips import marker_tips
-        from jaxpoint.person.markers import learn_marker, watch_markers
-        from jaxpoint.person.recording import default_cache
 
         out = self.needed_folder("marker-run")
         check_table_path(out / f"detections.{self.format}")
@@ -111,7 +111,7 @@ def _write(
     out: Path,
     session: Session,
     model: MarkerModel,
-    markers: tuple[CameraMarkers, ...],
+    markers: tuple[MarkerViews, ...],
     tips: list[MarkerTip] | None,
     missing: list[str],
 ) -> dict[str, Any]:
@@ -119,9 +119,9 @@ def _write(
 
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.table import write_table
-    from jaxpoint.person.marker_pictures import marker_sheets, track_of
-    from jaxpoint.person.marker_tables import in_room, seen
-    from jaxpoint.report.marker import write_marker_report
+    from jaxpoint.report.marker_page import write_marker_report
+    from jaxpoint.report.marker_pictures import marker_sheets, track_of
+    from jaxpoint.report.marker_tables import room_table, views_table
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = {"run": str(out), **_figures(command, session, model, markers, tips)}
@@ -147,9 +147,9 @@ def _write(
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
         (folder / "config.toml").write_text(settings, encoding="utf-8")
-        write_table(folder / f"detections.{command.format}", seen(session, markers, tips))
+        write_table(folder / f"detections.{command.format}", views_table(session, markers, tips))
         if tips is not None:
-            write_table(folder / f"markers.{command.format}", in_room(session, tips))
+            write_table(folder / f"markers.{command.format}", room_table(session, tips))
     return figures
 
 
@@ -157,16 +157,16 @@ def _figures(
     command: DetectMarker,
     session: Session,
     model: MarkerModel,
-    markers: tuple[CameraMarkers, ...],
+    markers: tuple[MarkerViews, ...],
     tips: list[MarkerTip] | None,
 ) -> dict[str, Any]:
-    from jaxpoint.detect.marker import is_mixture
-    from jaxpoint.person.marker_tables import why
-    from jaxpoint.person.notes import merged_notes
+    from jaxpoint.detection.person.marker_regions import is_mixture
+    from jaxpoint.report.marker_tables import why
+    from jaxpoint.report.notes import merged_notes
 
     cameras = []
     for name, own in zip(session.names, markers):
-        reasons = Counter(why(own, moment) for moment in range(len(own.reasons)))
+        reasons = Counter(why(own, frame) for frame in range(len(own.reasons)))
         cameras.append({"name": name, "frames": len(own.reasons), "found": reasons.pop("found", 0), "reasons": reasons})
     notes = merged_notes([*session.notes, *(note for own in markers for note in own.notes)])
     if is_mixture(model, command.marker):
@@ -176,7 +176,7 @@ def _figures(
             "marker's middle, with a smaller radius_px."
         )
     figures: dict[str, Any] = {
-        "moments": len(session.moments),
+        "moments": len(session.frame_ids),
         "model": asdict(model),
         "cameras": cameras,
         "in_room": None,
@@ -199,7 +199,7 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
         lines += ("No tips in the room: these need a calibration (--calibration) and two cameras or more.",)
     else:
         others = f"; others: {_counts(room['reasons'])}" if room["reasons"] else ""
-        lines += (f"Tips in the room: {room['tips']} of {figures['moments']} moments{others}.",)
+        lines += (f"Tips in the room: {room['tips']} of {figures['moments']} frames{others}.",)
     return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
@@ -212,12 +212,12 @@ def _failure(figures: dict[str, Any]) -> InsufficientDataError | None:
     found = [camera["found"] for camera in cameras if camera["found"]]
     if not found:
         return InsufficientDataError(
-            f"The marker was found in none of {figures['moments']} moments of {len(cameras)} cameras; the table says "
+            f"The marker was found in none of {figures['moments']} frames of {len(cameras)} cameras; the table says "
             f"what each frame held, {commonest(cameras, _FAINT)}"
         )
     if room is None or room["tips"]:
         return None
     return InsufficientDataError(
-        f"The marker has no tip in the room in any of {figures['moments']} moments ({_counts(room['reasons'])}), though"
+        f"The marker has no tip in the room in any of {figures['moments']} frames ({_counts(room['reasons'])}), though"
         f" {len(found)} of {len(cameras)} cameras show it in {sum(found)} images. {OF_THIS_ROOM} {_FAINT}"
     )

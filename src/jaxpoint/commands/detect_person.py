@@ -23,9 +23,9 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
+    from jaxpoint.body.following import Following, Progress
+    from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
     from jaxpoint.io.session import Session
-    from jaxpoint.person.following import Following, Progress
-    from jaxpoint.person.views import CameraViews
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +50,9 @@ class DetectPerson(SeededOptions):
     person where there are several."""
     min_confidence: Fraction = 0.3
     """Landmarks below are left out."""
+    detector: str = "auto"
+    """What finds people: silhouettes, landmarks, or a detector of yours as module:function; auto takes landmarks where
+    a file of them is given, and else silhouettes."""
     format: Literal["csv", "parquet"] = "csv"
     """Form of the tables; parquet needs pyarrow."""
     cache: Path | None = None
@@ -77,7 +80,7 @@ class DetectPerson(SeededOptions):
         check_table_path(out / f"detections.{self.format}")
         session = open_session(self.session, self.calibration, self.unit)
         with console.progress() as progress:
-            views, following = (_seen if self.landmarks is None else _given)(self, session, progress)
+            views, following = _seen(self, session, progress)
         missing: list[str] = []
         figures = _write(self, out, session, views, following, missing)
         failure = _failure(self, figures, _remedy(self, session, views, following))
@@ -86,39 +89,28 @@ class DetectPerson(SeededOptions):
 
 def _seen(
     command: DetectPerson, session: Session, progress: Progress
-) -> tuple[tuple[CameraViews, ...], Following | None]:
-    """What the images show."""
-    from jaxpoint.person.following import follow
-    from jaxpoint.person.recording import default_cache, watch_session
+) -> tuple[tuple[AbstractCameraEvidence, ...], Following | None]:
+    """What the views show of people, and who is where."""
+    from jaxpoint.body.following import follow
+    from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
+    from jaxpoint.detection.person.session_watch import default_cache
 
-    kept = command.cache or default_cache()
-    views = watch_session(
-        session, command.settings, cache=kept, anew=command.anew, workers=command.workers, progress=progress
-    )
+    request = PeopleRequest(
+        session, command.settings, command.landmarks, command.min_confidence, command.cache or default_cache(),
+        command.anew, command.workers, progress,
+    )  # fmt: skip
+    views = detect_people(request, command.detector)
     if session.rig is None or len(session.names) < 2:
         return views, None
-    return views, follow(session.rig, views, session.times, command.track, frame_ids=session.moments, progress=progress)
-
-
-def _given(
-    command: DetectPerson, session: Session, progress: Progress
-) -> tuple[tuple[CameraViews, ...], Following | None]:
-    """What a pose estimator found."""
-    from jaxpoint.io.poses import read_poses
-    from jaxpoint.person.poses import follow_poses, views_of_poses
-
-    poses = read_poses(command.landmarks or Path(), session, command.min_confidence)
-    views = views_of_poses(session, poses)
-    if session.rig is None or len(session.names) < 2:
-        return views, None
-    return views, follow_poses(session.rig, session, poses, views, command.track, progress)
+    following = follow(session.rig, views, session.times, command.track, frame_ids=session.frame_ids, progress=progress)
+    return views, following
 
 
 def _write(
     command: DetectPerson,
     out: Path,
     session: Session,
-    views: tuple[CameraViews, ...],
+    views: tuple[AbstractCameraEvidence, ...],
     following: Following | None,
     missing: list[str],
 ) -> dict[str, Any]:
@@ -127,9 +119,9 @@ def _write(
     from jaxpoint.config import DetectSettings, to_toml
     from jaxpoint.io.heads import save_heads
     from jaxpoint.io.table import write_table
-    from jaxpoint.person.pictures import sheets
-    from jaxpoint.person.tables import arms, detections
-    from jaxpoint.report.people import write_people_report
+    from jaxpoint.report.people_page import write_people_report
+    from jaxpoint.report.people_pictures import sheets
+    from jaxpoint.report.people_tables import arms_table, detections_table
     from jaxpoint.runs import MARK, new_run, provenance, write_json
 
     figures = _figures(session, views, following)
@@ -156,17 +148,18 @@ def _write(
         write_json(folder / MARK, made)
         write_json(folder / "metrics.json", figures)
         (folder / "config.toml").write_text(settings, encoding="utf-8")
-        write_table(folder / f"detections.{command.format}", detections(session, views, following))
+        write_table(folder / f"detections.{command.format}", detections_table(session, views, following))
         if following is not None:
             save_heads(folder / "heads.csv", following.tracking.heads)
-            write_table(folder / f"arms.{command.format}", arms(session, following))
+            write_table(folder / f"arms.{command.format}", arms_table(session, following))
     return figures
 
 
-def _figures(session: Session, views: tuple[CameraViews, ...], following: Following | None) -> dict[str, Any]:
-    from jaxpoint.detect.person import FrameReason
-    from jaxpoint.person.notes import merged_notes
-    from jaxpoint.person.views import head_found
+def _figures(
+    session: Session, views: tuple[AbstractCameraEvidence, ...], following: Following | None
+) -> dict[str, Any]:
+    from jaxpoint.evidence.camera_evidence import FrameReason
+    from jaxpoint.report.notes import merged_notes
 
     cameras = []
     for name, view in zip(session.names, views):
@@ -176,8 +169,8 @@ def _figures(session: Session, views: tuple[CameraViews, ...], following: Follow
                 "name": name,
                 "frames": len(view.reasons),
                 "with_person": reasons.pop("person", 0),
-                "heads": int(head_found(view).sum()),
-                "without_colour": int(view.grey.sum()),
+                "heads": int(view.head_found.sum()),
+                "without_colour": int(view.colourless.sum()),
                 "reasons": dict(reasons),
             }
         )
@@ -189,7 +182,7 @@ def _figures(session: Session, views: tuple[CameraViews, ...], following: Follow
             people.append({"person": number, "moments": int(heads.present[:, person].sum()), "arms": sum(found)})
     notes = merged_notes([*session.notes, *(note for view in views for note in view.notes)])
     return {
-        "moments": len(session.moments),
+        "moments": len(session.frame_ids),
         "cameras": cameras,
         "people": people,
         "followed": following is not None,
@@ -209,14 +202,14 @@ def _lines(figures: dict[str, Any], out: Path) -> tuple[str, ...]:
     ]
     lines = table(("camera", "person in", "heads", "other frames"), rows)
     for person in figures["people"]:
-        lines += (f"Person {person['person']}: {person['moments']} moments, the arm in {person['arms']}.",)
+        lines += (f"Person {person['person']}: {person['moments']} frames, the arm in {person['arms']}.",)
     if not figures["followed"]:
         lines += ("No head tracks and arms: these need a calibration (--calibration) and two cameras or more.",)
     return (*lines, *figures["notes"], f"Tables: {out}", *at("Report", out / "report.html"))
 
 
 def _remedy(
-    command: DetectPerson, session: Session, views: tuple[CameraViews, ...], following: Following | None
+    command: DetectPerson, session: Session, views: tuple[AbstractCameraEvidence, ...], following: Following | None
 ) -> str:
     """What helps where nobody could be followed."""
     if following is None or len(following.tracking.heads.people):
@@ -229,7 +222,7 @@ def _failure(
 ) -> InsufficientDataError | None:
     cameras = figures["cameras"]
     if not any(camera["with_person"] for camera in cameras):
-        nobody = f"Nobody was found in {figures['moments']} moments of {len(cameras)} cameras; "
+        nobody = f"Nobody was found in {figures['moments']} frames of {len(cameras)} cameras; "
         if command.landmarks is not None:
             return InsufficientDataError(f"{nobody}lower --min-confidence, which is {command.min_confidence:g}.")
         return InsufficientDataError(f"{nobody}the table says what each frame held, {commonest(cameras)}")
@@ -237,11 +230,11 @@ def _failure(
         return None
     heads = [camera["heads"] for camera in cameras]
     if sum(count > 0 for count in heads) < 2:
-        return _unfollowed(command, cameras)
+        return _why_unfollowed(command, cameras)
     return nobody_followed(heads, command.track, remedy)
 
 
-def _unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
+def _why_unfollowed(command: DetectPerson, cameras: Sequence[Mapping[str, Any]]) -> InsufficientDataError:
     """Why nobody could be followed: no heads at all, heads of one view only, or heads that do not agree."""
     heads = [camera["heads"] for camera in cameras if camera["heads"]]
     failed = (

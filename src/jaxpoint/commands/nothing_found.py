@@ -10,8 +10,8 @@ from jaxpoint.errors import InsufficientDataError
 
 if TYPE_CHECKING:
     from jaxpoint.config.track import TrackSettings
+    from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
     from jaxpoint.io.session import Session
-    from jaxpoint.person.views import CameraViews
 
 _FAINT = (
     "A lower --background.threshold finds people coloured like the room; a recording of the empty room (empty/) "
@@ -53,14 +53,14 @@ def nobody_followed(heads: Sequence[int], settings: TrackSettings, remedy: str) 
     agreed, of = settings.confirm
     return InsufficientDataError(
         f"Nobody could be followed in the room: {sum(heads)} heads were seen by {sum(map(bool, heads))} of {len(heads)}"
-        f" cameras, and two must agree on one in {agreed} of {of} moments. {remedy}"
+        f" cameras, and two must agree on one in {agreed} of {of} frames. {remedy}"
     )
 
 
-def remedy_of_heights(session: Session, views: Sequence[CameraViews], settings: TrackSettings) -> str:
+def remedy_of_heights(session: Session, views: Sequence[AbstractCameraEvidence], settings: TrackSettings) -> str:
     """What the height of the heads says of unit and axes, else what to look for."""
-    from jaxpoint.person.heights import head_height, height_remedy
+    from jaxpoint.body.head_heights import head_height, height_remedy
 
     assert session.rig is not None
-    height = head_height(session.rig, views, len(session.moments))
+    height = head_height(session.rig, views, len(session.frame_ids))
     return height_remedy(height, *settings.height_m) or OF_THIS_ROOM

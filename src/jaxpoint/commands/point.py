@@ -21,12 +21,10 @@ from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.answer.pipeline import Pointed
+    from jaxpoint.body.following import Following
     from jaxpoint.calibration.result import Calibration
-    from jaxpoint.camera.rig import CameraRig
     from jaxpoint.io.session import Session
-    from jaxpoint.person.following import Following
-    from jaxpoint.person.views import CameraViews
+    from jaxpoint.pointing.pipeline import SessionAnswers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,6 +49,9 @@ class Point(SeededOptions):
     """What a pose estimator found, instead of the images: CSV, as `detect person --landmarks` takes it."""
     min_confidence: Fraction = 0.3
     """Landmarks below are left out."""
+    detector: str = "auto"
+    """What finds people: silhouettes, landmarks, or a detector of yours as module:function; auto takes landmarks where
+    a file of them is given, and else silhouettes."""
     times: Path | None = None
     """CSV of gestures, `start_s,end_s`; they are looked for without it."""
     words: Path | None = None
@@ -87,9 +88,9 @@ class Point(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write gestures, pictures and a page into `--out`."""
         hush_opencv(self.verbose)
-        from jaxpoint.answer.sentence import as_json, check_speaker
-        from jaxpoint.commands.answered import write_answers
+        from jaxpoint.commands.answers_folder import write_answers
         from jaxpoint.io.table import check_table_path
+        from jaxpoint.report.answer_text import as_json, check_speaker
 
         out = self.needed_folder("answers")
         check_table_path(out / f"gestures.{self.format}")
@@ -97,7 +98,7 @@ class Point(SeededOptions):
         if self.speak:
             check_speaker()
         with console.progress() as progress:
-            session, following, pointed = self.answered(progress)
+            session, following, pointed = self.find_answers(progress)
         missing: list[str] = []
         with extra("the answers on standard output", missing):  # a robot waits for them; who reads them may have gone
             if self.follow:
@@ -110,30 +111,34 @@ class Point(SeededOptions):
         lines = () if self.follow else (f"Tables: {out}", *at("Report", out / "report.html"))
         return Outcome(figures, lines, missing=() if self.follow else tuple(missing))
 
-    def _speak(self, pointed: Pointed) -> None:
+    def _speak(self, pointed: SessionAnswers) -> None:
         """Say the answers where that is wanted."""
-        from jaxpoint.answer.sentence import sentence, speak
+        from jaxpoint.report.answer_text import sentence, speak
 
         for answer in pointed.answers if self.speak else ():
             speak(sentence(answer))
 
-    def answered(
+    def find_answers(
         self, progress: Progress, calibration: Calibration | None = None
-    ) -> tuple[Session, Following, Pointed]:
+    ) -> tuple[Session, Following, SessionAnswers]:
         """Session, arms and answers; nothing is written. A calibration that was just made goes before a file's."""
-        from jaxpoint.answer.hypotheses import correction_of
-        from jaxpoint.answer.pipeline import check_session, pointed, room_of, scene_of
-        from jaxpoint.answer.words import read_times, read_words
+        from jaxpoint.body.following import follow
         from jaxpoint.commands.nothing_found import nobody_followed, remedy_of_heights
+        from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
+        from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.bias import read_bias
         from jaxpoint.io.calibration import read_calibration
-        from jaxpoint.io.session import open_session
-        from jaxpoint.person.views import head_found
+        from jaxpoint.io.object_scene import read_scene
+        from jaxpoint.io.session import check_session, open_session
+        from jaxpoint.io.speech import read_times, read_words
+        from jaxpoint.pointing.line_hypotheses import correction_of
+        from jaxpoint.pointing.pipeline import answer_gestures, room_of
+        from jaxpoint.report.notes import merged_notes
 
         session = open_session(self.session, self.calibration, self.unit)
         check_session(session)
         assert session.rig is not None
-        scene, database = scene_of(self._objects_file(), room_of(self.settings.room))
+        scene, database = read_scene(self._objects_file(), room_of(self.settings.room))
         correction = None if self.bias is None else correction_of(read_bias(self.bias))
         times = None if self.times is None else read_times(self.times)
         words = () if self.words is None else read_words(self.words)
@@ -145,12 +150,19 @@ class Point(SeededOptions):
             rig = calibration.rig.select([known.index(name) for name in session.names])
             session = replace(session, rig=rig, calibration=None)
             assert session.rig is not None
-        views, following = (self._seen if self.landmarks is None else self._given)(session, session.rig, progress)
+        request = PeopleRequest(
+            session, self.person, self.landmarks, self.min_confidence, self.cache or default_cache(), self.anew,
+            self.workers, progress,
+        )  # fmt: skip
+        views = detect_people(request, self.detector)
+        following = follow(
+            session.rig, views, session.times, self.track, frame_ids=session.frame_ids, progress=progress
+        )
         if not len(following.tracking.heads.people):
-            heads = [int(head_found(view).sum()) for view in views]
+            heads = [int(view.head_found.sum()) for view in views]
             raise nobody_followed(heads, self.track, remedy_of_heights(session, views, self.track))
-        found = pointed(
-            session,
+        found = answer_gestures(
+            session.rig,
             following,
             scene,
             self.settings,
@@ -158,27 +170,9 @@ class Point(SeededOptions):
             words=words,
             camera_covariance=_in_order(covariance, known, session.names),
             correction=correction,
-            watched=[*database.warnings, *(note for view in views for note in view.notes)],
+            notes=merged_notes([*session.notes, *database.warnings, *(note for view in views for note in view.notes)]),
         )
         return session, following, found
-
-    def _seen(self, session: Session, rig: CameraRig, progress: Progress) -> tuple[tuple[CameraViews, ...], Following]:
-        """The arms in the images."""
-        from jaxpoint.person.following import follow
-        from jaxpoint.person.recording import default_cache, watch_session
-
-        kept = self.cache or default_cache()
-        views = watch_session(session, self.person, cache=kept, anew=self.anew, workers=self.workers, progress=progress)
-        return views, follow(rig, views, session.times, self.track, frame_ids=session.moments, progress=progress)
-
-    def _given(self, session: Session, rig: CameraRig, progress: Progress) -> tuple[tuple[CameraViews, ...], Following]:
-        """The arms that a pose estimator found."""
-        from jaxpoint.io.poses import read_poses
-        from jaxpoint.person.poses import follow_poses, views_of_poses
-
-        poses = read_poses(self.landmarks or Path(), session, self.min_confidence)
-        views = views_of_poses(session, poses)
-        return views, follow_poses(rig, session, poses, views, self.track, progress)
 
     def inputs(self, session: Session) -> list[Path]:
         """All files that the answers were made from."""
@@ -195,13 +189,13 @@ class Point(SeededOptions):
 
 
 def check_settings(settings: PointSettings) -> None:
-    """Refuse a room that is none, and weights that make no line.
+    """Refuse a room of no extent, and weights that make no line.
 
     Raises:
         UsageError: as `room_of`; or there are no weights, or one is of a line that does not exist.
     """
-    from jaxpoint.answer.pipeline import room_of
-    from jaxpoint.pointing.line import weights_of
+    from jaxpoint.pointing.pipeline import room_of
+    from jaxpoint.pointing.pointing_line import weights_of
 
     room_of(settings.room)
     if settings.line != "blend":
@@ -212,9 +206,9 @@ def check_settings(settings: PointSettings) -> None:
         raise UsageError(f"{error} Give them in [point.blend] of the file of --config.") from None
 
 
-def answer_lines(pointed: Pointed, truth: Mapping[int, str] | None = None) -> tuple[str, ...]:
+def answer_lines(pointed: SessionAnswers, truth: Mapping[int, str] | None = None) -> tuple[str, ...]:
     """A line an answer, for a person who reads the terminal; with the truth where it is known."""
-    from jaxpoint.answer.sentence import sentence
+    from jaxpoint.report.answer_text import sentence
 
     lines = []
     for answer in pointed.answers:
@@ -233,5 +227,6 @@ def _in_order(covariance: Any, known: Sequence[str], names: Sequence[str]) -> An
         return None
     import numpy as np
 
-    rows = np.concatenate([15 * known.index(name) + np.arange(15) for name in names])
+    size = len(covariance) // len(known)  # parameters a camera
+    rows = np.concatenate([size * known.index(name) + np.arange(size) for name in names])
     return covariance[np.ix_(rows, rows)]

@@ -1,4 +1,5 @@
 from .bias import read_bias as read_bias, write_bias as write_bias
+from .body_landmarks import read_poses as read_poses
 from .calibration import (
     SavedCalibration as SavedCalibration,
     read_calibration as read_calibration,
@@ -16,7 +17,6 @@ from .known import (
 )
 from .objects import Database as Database, read_objects as read_objects
 from .pointings import read_pointings as read_pointings, write_pointings as write_pointings
-from .poses import Poses as Poses, read_poses as read_poses
 from .qualisys import read_qualisys as read_qualisys
 from .result import load_result as load_result, save_result as save_result
 from .session import Session as Session, open_session as open_session

@@ -17,7 +17,7 @@ import tomli_w
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, check_finite, read_text, replacing
 from jaxpoint.pointing.bias.bias import Bias, Fitted
-from jaxpoint.pointing.bias.models import AbstractModel, Blend, Constant, ConstantElevation, Personal, Polynomial
+from jaxpoint.pointing.bias.models import AbstractBiasModel, Blend, Constant, ConstantElevation, Personal, Polynomial
 from jaxpoint.pointing.bias.spread import FREEDOMS, Spread
 
 FORMAT = "jaxpoint-bias"
@@ -30,7 +30,7 @@ Pair = tuple[float, float]
 class _ConstantElevation(msgspec.Struct, tag="constant-elevation", tag_field="kind", forbid_unknown_fields=True):
     elevation_deg: float
 
-    def model(self) -> AbstractModel:
+    def model(self) -> AbstractBiasModel:
         return ConstantElevation(np.deg2rad(self.elevation_deg))
 
 
@@ -38,7 +38,7 @@ class _Constant(msgspec.Struct, tag="constant", tag_field="kind", forbid_unknown
     azimuth_deg: float
     elevation_deg: float
 
-    def model(self) -> AbstractModel:
+    def model(self) -> AbstractBiasModel:
         return Constant(np.deg2rad([self.azimuth_deg, self.elevation_deg]))
 
 
@@ -46,7 +46,7 @@ class _Polynomial(msgspec.Struct, tag="polynomial", tag_field="kind", forbid_unk
     azimuth_deg: list[float]  # of the powers 0, 1, ... of the line's elevation in rad
     elevation_deg: list[float]
 
-    def model(self) -> AbstractModel:
+    def model(self) -> AbstractBiasModel:
         if len(self.azimuth_deg) != len(self.elevation_deg) or not self.azimuth_deg:
             raise ValueError("azimuth_deg and elevation_deg must have as many numbers, at least one")
         return Polynomial(np.deg2rad([self.azimuth_deg, self.elevation_deg]))
@@ -58,7 +58,7 @@ class _Blend(msgspec.Struct, tag="blend", tag_field="kind", forbid_unknown_field
     azimuth_weights: list[float]  # of the lines after the first
     elevation_weights: list[float]
 
-    def model(self) -> AbstractModel:
+    def model(self) -> AbstractBiasModel:
         weights = self.azimuth_weights, self.elevation_weights
         if len(weights[0]) != len(weights[1]):
             raise ValueError("azimuth_weights and elevation_weights must have as many numbers")
@@ -74,7 +74,7 @@ class _Personal(msgspec.Struct, tag="personal", tag_field="kind", forbid_unknown
     elevation_deg: float
     shared: _Shared
 
-    def model(self) -> AbstractModel:
+    def model(self) -> AbstractBiasModel:
         return Personal(self.shared.model(), np.deg2rad([self.azimuth_deg, self.elevation_deg]))
 
 
@@ -166,7 +166,7 @@ def write_bias(path: StrPath, bias: Bias) -> None:
         file.write(tomli_w.dumps(tables).encode())
 
 
-def _model(model: AbstractModel) -> dict[str, Any]:
+def _model(model: AbstractBiasModel) -> dict[str, Any]:
     match model:
         case ConstantElevation():
             return {"kind": "constant-elevation", "elevation_deg": _degrees(model.elevation)}

@@ -12,8 +12,8 @@ import io
 
 import numpy as np
 
+from jaxpoint.body.tracking.head_tracks import REASONS, HeadTracks, Status
 from jaxpoint.io.files import StrPath, natural_key, read_table, read_text, replacing
-from jaxpoint.tracking.result import REASONS, HeadTracks, Status
 
 HEAD_COLUMNS = ("frame", "time_s", "person", "x_m", "y_m", "z_m", "sigma_m", "views", "status")
 _DIGITS = 5  # of a metre: a hundredth of a millimetre

@@ -1,6 +1,6 @@
 """Where a marker was picked in images: `samples.csv`, by which its colour is learnt.
 
-Columns `camera,frame,x,y` and, if wanted, `radius_px`: the camera's name, the number of the moment in the session, the
+Columns `camera,frame,x,y` and, if wanted, `radius_px`: the camera's name, the number of the frame in the session, the
 pixel ((0, 0) is the centre of the top-left one), and how far around it all pixels lie on the marker.
 """
 
@@ -19,7 +19,7 @@ class MarkerSample:
     """A disc of pixels on the marker."""
 
     camera: int  # place among the session's
-    moment: int  # place among the session's
+    frame: int  # place among the session's
     x: float  # px
     y: float  # px
     radius_px: float
@@ -34,7 +34,7 @@ def read_marker_samples(path: StrPath, session: Session, radius_px: float) -> li
         radius_px: where the file does not say it.
 
     Raises:
-        FileFormatError: a missing column or value, an unknown camera, a moment of which the camera has no image, a
+        FileFormatError: a missing column or value, an unknown camera, a frame of which the camera has no image, a
             place outside of the image, or a disc that is larger than it.
     """
     return [_sample(row, session, radius_px) for row in read_table(path, ("camera", "frame", "x", "y"))]
@@ -43,11 +43,11 @@ def read_marker_samples(path: StrPath, session: Session, radius_px: float) -> li
 def _sample(row: Row, session: Session, radius_px: float) -> MarkerSample:
     camera = row.camera(session.names)
     frame = row.integer("frame")
-    found = np.flatnonzero(session.moments == frame)
+    found = np.flatnonzero(session.frame_ids == frame)
     if not len(found) or session.frame_index[found[0], camera] < 0:
         raise row.error(
             f"camera '{session.names[camera]}' has no image of frame {frame}; the session's frames go from "
-            f"{session.moments.min()} to {session.moments.max()}."
+            f"{session.frame_ids.min()} to {session.frame_ids.max()}."
         )
     x, y = row.number("x"), row.number("y")
     width, height = session.sizes[camera].tolist()

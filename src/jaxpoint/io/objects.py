@@ -34,13 +34,12 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room import MAX_ROOM_M, Room
 from jaxpoint.pointing.shapes.registry import shapes
 from jaxpoint.pointing.shapes.shape import AbstractShape, Field
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 PLAIN = "rectangle"  # the shape of every line of a CSV file that has no column `shape`
-MAX_ROOM_M = 100.0
 USUAL_SPAN_M = (1.0, 30.0)  # of all objects together; beyond these the unit is often wrong
 FARTHEST_M = 1e8  # from the origin, which may be that of a map
 

@@ -2,7 +2,7 @@
 
 session/
   videos/cam_0.mp4 ...   or a folder of images each; the name is the camera's
-  timestamps.csv         which frame of which camera belongs to which moment (`jaxpoint.io.timestamps`); without it
+  timestamps.csv         which image of which camera belongs to which frame (`jaxpoint.io.timestamps`); without it
                          frames belong together by the time stamps of videos, or by the names of images
   calibration.json       the cameras; optional where only images are looked at
   empty/cam_0.mp4 ...    the empty room, for background and motion threshold; optional
@@ -14,14 +14,15 @@ session/
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.errors import FileFormatError, InsufficientDataError, UsageError
 from jaxpoint.io.calibration import read_calibration
 from jaxpoint.io.files import natural_key
 from jaxpoint.io.frames import FrameSource
@@ -38,13 +39,13 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Session:
-    """F moments of C cameras."""
+    """F frames of C cameras on one clock."""
 
     folder: Path
     names: tuple[str, ...]
     videos: tuple[Path, ...]  # one a camera
     sizes: Int[np.ndarray, "C 2"]  # px, width and height
-    moments: Int[np.ndarray, " F"]  # number of each moment: the sync_index, or the frame number
+    frame_ids: Int[np.ndarray, " F"]  # number of each frame: the sync_index, or the number in the videos
     times: Float[np.ndarray, " F"]  # s
     frame_index: Int[np.ndarray, "F C"]  # position in the camera's own video; -1 where it has no frame
     rig: CameraRig | None  # in the order of `names`, m
@@ -57,6 +58,21 @@ class Session:
     def files(self) -> tuple[Path, ...]:
         """All that the session was read from, folders of images among it."""
         return (*self.videos, *(path for path in (self.timestamps, self.calibration, *self.empty) if path is not None))
+
+    def images(
+        self, camera: int, frames: Sequence[int] | None = None
+    ) -> Iterator[tuple[int, UInt8[np.ndarray, "H W 3"]]]:
+        """The images of one camera (blue, green, red) with the places of their frames, without those that are damaged.
+
+        Args:
+            camera: place among the cameras.
+            frames: places of those that are wanted; None for all.
+        """
+        chosen = np.arange(len(self.frame_ids)) if frames is None else np.unique(np.asarray(frames, int))
+        index = self.frame_index[chosen, camera]
+        for place, image in open_frames(self.videos[camera]).readable(np.unique(index[index >= 0])):
+            for frame in chosen[index == place].tolist():
+                yield frame, image
 
 
 def open_session(folder: Path, calibration: Path | None = None, unit: str | None = None) -> Session:
@@ -81,7 +97,7 @@ def open_session(folder: Path, calibration: Path | None = None, unit: str | None
     sources = [open_frames(videos[name]) for name in names]
     sizes = np.array([source.size for source in sources])
     stamps = folder / "timestamps.csv"
-    moments, times, index, notes = (
+    frames, times, index, notes = (
         _stamped(read_timestamps(stamps).select(names), sources, names)
         if stamps.is_file()
         else _matched(sources, names)
@@ -97,7 +113,7 @@ def open_session(folder: Path, calibration: Path | None = None, unit: str | None
         names,
         tuple(videos[name] for name in names),
         sizes,
-        moments,
+        frames,
         times,
         index,
         rig,
@@ -148,19 +164,19 @@ def _rig(path: Path, names: tuple[str, ...], sizes: np.ndarray, unit: str | None
 
 
 def _stamped(stamps: Timestamps, sources: list[FrameSource], names: tuple[str, ...]):
-    """Moments as the timestamps have them; frames beyond the end of a video are absent."""
+    """Frames as the timestamps have them; images beyond the end of a video are absent."""
     index = stamps.frame_index.copy()
     notes = []
     for camera, source in enumerate(sources):
         beyond = index[:, camera] >= len(source)
         if beyond.any():
             notes.append(
-                f"Camera '{names[camera]}' stops early, with no frame at {beyond.sum()} of {len(index)} moments."
+                f"Camera '{names[camera]}' stops early, with no image in {beyond.sum()} of {len(index)} frames."
             )
             index[beyond, camera] = -1
         dropped = int((stamps.frame_index[:, camera] < 0).sum())
         if dropped:
-            notes.append(f"Camera '{names[camera]}' has no frame in {dropped} of {len(index)} moments.")
+            notes.append(f"Camera '{names[camera]}' has no image in {dropped} of {len(index)} frames.")
     return stamps.sync_indices, stamps.times, index, notes + _drifts(stamps, names)
 
 
@@ -190,6 +206,22 @@ def _matched(sources: list[FrameSource], names: tuple[str, ...]):
         notes.append(f"Images are paired by {pairing.by}.")
     times = pairing.times
     if times is None:
-        notes.append("No time of a frame is known, so moments count as 1 s apart; give the times in timestamps.csv.")
+        notes.append("No time of a frame is known, so frames count as 1 s apart; give the times in timestamps.csv.")
         times = (pairing.frame_ids - pairing.frame_ids[0]).astype(float)
     return pairing.frame_ids, times, pairing.index, notes
+
+
+def check_session(session: Session) -> None:
+    """Refuse a session in which no line can be measured, before anything is looked at.
+
+    Raises:
+        UsageError: it has no calibration.
+        InsufficientDataError: it has one camera.
+    """
+    if len(session.names) < 2:
+        raise InsufficientDataError(
+            f"'{session.folder}' has {len(session.names)} camera; a line in the room takes two views or more, so add a "
+            "second one."
+        )
+    if session.rig is None:
+        raise UsageError(f"'{session.folder}' has no calibration.json; give the room's by --calibration.")

@@ -3,21 +3,21 @@
 Imported at once: `nearest` and `posterior` are names of functions and of their modules, and the functions must win.
 """
 
-from jaxpoint.pointing.axis import LimbAxis, fit_axis
+from jaxpoint.body.joints import Joints
+from jaxpoint.body.limb_axis import LimbAxis, fit_axis
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias
 from jaxpoint.pointing.bias.learn import Learnt, learn_bias
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.solve import Observed
 from jaxpoint.pointing.hits import Hits, intersect
-from jaxpoint.pointing.joints import Joints
-from jaxpoint.pointing.line import PointingLine, pointing_lines, pointing_ray
 from jaxpoint.pointing.nearest import Nearest, nearest, nearest_to_points
 from jaxpoint.pointing.objects import Objects, Thing
+from jaxpoint.pointing.pointing_line import PointingLine, pointing_lines, pointing_ray
 from jaxpoint.pointing.posterior import Behaviour, Posterior, posterior
 from jaxpoint.pointing.room import Room, RoomPoint, end_in_room
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
-from jaxpoint.pointing.words import words_evidence
+from jaxpoint.pointing.word_evidence import words_evidence
 
 __all__ = [
     "Behaviour",

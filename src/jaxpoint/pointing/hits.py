@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.objects import Objects, Shapes
 
 MOST = 8

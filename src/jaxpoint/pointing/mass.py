@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
-from jaxpoint.pointing.line import PointingLine
+from jaxpoint.pointing.pointing_line import PointingLine
 
 NEAR_M = 0.005  # nothing nearer before the tip is pointed at
 _REACH = 4.0  # standard deviations, beyond which a Gaussian has no mass
@@ -57,7 +57,7 @@ def across(direction: Float[Array, "3"]) -> Float[Array, "2 3"]:
     return jnp.stack([left, jnp.cross(direction, left)])
 
 
-class View(eqx.Module):
+class OutlineView(eqx.Module):
     """The distribution of one line's direction, as masses take it: a density in the plane across the line."""
 
     origin: Float[Array, "3"]  # m
@@ -66,7 +66,7 @@ class View(eqx.Module):
     freedom: int | None = eqx.field(static=True)  # of Student's t; None: Gaussian
 
     @staticmethod
-    def of(line: PointingLine, spread: Float[Array, "2 2"], freedom: int | None = None) -> View:
+    def of(line: PointingLine, spread: Float[Array, "2 2"], freedom: int | None = None) -> OutlineView:
         """Of one line.
 
         Args:
@@ -76,10 +76,10 @@ class View(eqx.Module):
         base = across(line.ray.direction)
         both = jnp.einsum("ij,ajbk,lk->aibl", base, line.covariance.reshape(2, 3, 2, 3), base)
         covariance = both[1, :, 1] + spread, both[0, :, 1] + both[1, :, 0], both[0, :, 0]
-        return View(line.ray.origin, jnp.concatenate([base, line.ray.direction[None]]), covariance, freedom)
+        return OutlineView(line.ray.origin, jnp.concatenate([base, line.ray.direction[None]]), covariance, freedom)
 
 
-def polygon_masses(edges: Edges, view: View) -> Float[Array, " N"]:
+def polygon_masses(edges: Edges, view: OutlineView) -> Float[Array, " N"]:
     """Masses of N polygons in the line's frame, m from its origin."""
     start, end, turn = edges
     part, left = _of_edge(start, end, view.covariance, view.freedom)
@@ -96,12 +96,12 @@ def polygon_masses(edges: Edges, view: View) -> Float[Array, " N"]:
 
 def _of_edge(start: Vectors, end: Vectors, covariance: tuple[Array, ...], freedom: int | None) -> tuple[Array, Array]:
     """What edges add to masses, and the distance at which they pass 0, positive with 0 to their left."""
-    (p, near_p), (q, near_q) = _projected(_clipped(start, end)), _projected(_clipped(end, start))
+    (p, near_p), (q, near_q) = _project(_clip(start, end)), _project(_clip(end, start))
     edge = q[0] - p[0], q[1] - p[1]
     length2 = edge[0] ** 2 + edge[1] ** 2
     nearest = jnp.clip(-(p[0] * edge[0] + p[1] * edge[1]) / jnp.where(length2 > 0, length2, 1.0), 0.0, 1.0)
     near = near_p + nearest * (near_q - near_p)  # of a straight line in the image one over the depth is linear
-    p, q = _whitened(near, covariance, p, q)
+    p, q = _whiten(near, covariance, p, q)
     edge = q[0] - p[0], q[1] - p[1]
     shorten = jax.lax.rsqrt(edge[0] ** 2 + edge[1] ** 2 + 1e-24)
     unit = edge[0] * shorten, edge[1] * shorten
@@ -110,7 +110,7 @@ def _of_edge(start: Vectors, end: Vectors, covariance: tuple[Array, ...], freedo
     return _gaussian_edge(h, a, b) if freedom is None else _student_edge(h, a, b, freedom), h
 
 
-def _clipped(point: Vectors, other: Vectors) -> Vectors:
+def _clip(point: Vectors, other: Vectors) -> Vectors:
     """A corner moved along its edge to where that comes to lie ahead."""
     rise = other[2] - point[2]
     share = jnp.clip((NEAR_M - point[2]) / jnp.where(rise == 0, 1.0, rise), 0.0, 1.0)
@@ -119,13 +119,13 @@ def _clipped(point: Vectors, other: Vectors) -> Vectors:
     return left, up, jnp.maximum(depth, NEAR_M)
 
 
-def _projected(point: Vectors) -> tuple[tuple[Array, Array], Array]:
+def _project(point: Vectors) -> tuple[tuple[Array, Array], Array]:
     """Tangents to the left and up, and one over the depth, 1/m."""
     near = 1 / point[2]
     return (point[0] * near, point[1] * near), near
 
 
-def _whitened(
+def _whiten(
     near: Array, covariance: tuple[Array, ...], *points: tuple[Array, Array]
 ) -> tuple[tuple[Array, Array], ...]:
     """Tangents in standard deviations, of what lies at one over the depth."""

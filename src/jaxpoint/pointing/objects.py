@@ -132,7 +132,7 @@ def _shapes(shapes: Sequence[AbstractShape]) -> Shapes:
         sorts.setdefault(sort, []).append((*rows, np.full(len(rows[0]), k)))
     primitives, owners = [], []
     for sort in sorted(sorts, key=lambda sort: sort.__qualname__):
-        *arrays, owner = (_joined(parts) for parts in zip(*sorts[sort]))
+        *arrays, owner = (_join(parts) for parts in zip(*sorts[sort]))
         primitives.append(sort(*arrays))  # pyright: ignore[reportArgumentType]; `most` is no field
         owners.append(owner)
     return Shapes(tuple(primitives), tuple(owners))
@@ -144,7 +144,7 @@ def _used(primitives: AbstractPrimitives) -> Bool[np.ndarray, " N"]:
     return np.any([np.any(np.asarray(leaf) != 0, axis=tuple(range(1, leaf.ndim))) for leaf in leaves], axis=0)
 
 
-def _joined(parts: Sequence[np.ndarray]) -> Array:
+def _join(parts: Sequence[np.ndarray]) -> Array:
     """One after the other, with zeros up to a multiple of PAD rows."""
     rows = np.concatenate(parts)
     padded = np.pad(rows, [(0, -len(rows) % PAD), *[(0, 0)] * (rows.ndim - 1)])

@@ -28,11 +28,11 @@ from jaxpoint.compilation import jit
 from jaxpoint.devices import on_cpu
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
+from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.hits import nearest_first
-from jaxpoint.pointing.line import PointingLine
-from jaxpoint.pointing.lines import over_lines
-from jaxpoint.pointing.mass import View, across
+from jaxpoint.pointing.mass import OutlineView, across
 from jaxpoint.pointing.objects import Choice, Objects, Shapes
+from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 AMBIGUOUS = 3.0
@@ -163,7 +163,7 @@ def _of_line(
     def by_object(parts: Float[Array, " P"]) -> Float[Array, " K"]:
         return jax.ops.segment_sum(parts, shapes.owner, weights.shape[0])
 
-    view = View.of(line, behaviour.spread, behaviour.freedom)
+    view = OutlineView.of(line, behaviour.spread, behaviour.freedom)
     parts = aimed.each(lambda own: own.masses(view))
     seen = _visible(line, shapes, behaviour)
     angles = aimed.each(lambda own: own.solid_angles(line.ray.origin))

@@ -13,9 +13,10 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import as_float
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.lines import over_lines
+from jaxpoint.pointing.batching import over_lines
 from jaxpoint.pointing.objects import Objects
 
+MAX_ROOM_M = 100.0  # no room is larger: a larger one has its lengths in another unit
 MARGIN_M = 0.05  # between a guessed wall and what is nearest to it
 SURFACES = (
     "the wall at the lowest x",

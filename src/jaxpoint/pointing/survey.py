@@ -38,7 +38,7 @@ class Surveyed:
 
 def survey(things: Sequence[Thing]) -> list[Surveyed]:
     """All of them, in order."""
-    return [_surveyed(thing) for thing in things]
+    return [_survey(thing) for thing in things]
 
 
 def overlaps(things: Sequence[Thing]) -> list[str]:
@@ -64,7 +64,7 @@ def outside(things: Sequence[Thing], room: Room) -> list[str]:
     return notes
 
 
-def _surveyed(thing: Thing) -> Surveyed:
+def _survey(thing: Thing) -> Surveyed:
     shape = thing.shape
     bottom, top = shape.bounds
     center = tuple(float(x) for x in (bottom + top) / 2)

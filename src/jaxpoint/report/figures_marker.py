@@ -17,7 +17,7 @@ RAY_M = 0.3  # how far a line goes on from the tip, to where the marker points
 
 @dataclass(frozen=True)
 class TipTrack:
-    """The marker over F moments; zeros where it was not found, or has no direction."""
+    """The marker over F frames; zeros where it was not found, or has no direction."""
 
     times: Float[np.ndarray, " F"]  # s
     found: Bool[np.ndarray, " F"]
@@ -26,7 +26,7 @@ class TipTrack:
     spread: Float[np.ndarray, " F"]  # m, rms distance of the views' tips from the tip
 
     def pieces(self) -> tuple[Float[np.ndarray, "N 2 3"], Float[np.ndarray, " N"]]:
-        """The way from each moment to the next where both have a tip, and the seconds between."""
+        """The way from each frame to the next where both have a tip, and the seconds between."""
         both = self.found[:-1] & self.found[1:]
         seconds = (self.times[:-1] + self.times[1:]) / 2
         return np.stack([self.tips[:-1], self.tips[1:]], axis=1)[both], seconds[both]

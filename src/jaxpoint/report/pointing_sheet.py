@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from jaxpoint.io.files import StrPath, replacing
-from jaxpoint.report.person import titled
+from jaxpoint.report.contact_sheet import add_title
 
 _GAP = 6
 _PAPER = (250, 248, 246)  # blue, green, red
@@ -113,7 +113,7 @@ def _cell(view: PointingView, width: int) -> np.ndarray:
         for edge in outline.edges:
             cv2.polylines(image, [place(edge)], False, color, 2, cv2.LINE_AA)
     if view.line is not None:
-        _dashed(image, place(view.line))
+        _draw_dashed(image, place(view.line))
     if view.tip is not None and view.base is not None:
         cv2.line(image, tuple(place(view.base)), tuple(place(view.tip)), _ARM, 3, cv2.LINE_AA)
     for pixel, color in ((view.base, _BASE), (view.tip, _TIP)):
@@ -123,10 +123,10 @@ def _cell(view: PointingView, width: int) -> np.ndarray:
     taken: list[_Box] = []
     for outline in sorted(view.outlines, key=lambda one: not one.meant):
         _name(image, outline, place, taken)
-    return titled(image, view.title, view.reason)
+    return add_title(image, view.title, view.reason)
 
 
-def _dashed(image: np.ndarray, line: np.ndarray) -> None:
+def _draw_dashed(image: np.ndarray, line: np.ndarray) -> None:
     """Dashes of equal length along a polyline."""
     passed = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     if passed[-1] > 10 * max(image.shape):

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.angles import azimuth_elevation, turned
 from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
-from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.bias.spread import Spread
 
 
@@ -34,7 +34,7 @@ class Bias(eqx.Module):
     """
 
     lines: tuple[str, ...] = eqx.field(static=True)  # kinds that it reads; the first is the one that is turned
-    model: AbstractModel
+    model: AbstractBiasModel
     spread: Spread
     between: Float[Array, "2 2"] = eqx.field(converter=as_float)  # covariance of people's offsets, rad^2
     within: Spread
@@ -52,5 +52,5 @@ class Bias(eqx.Module):
 
 
 @jit
-def _turned(model: AbstractModel, directions: Array) -> Array:
+def _turned(model: AbstractBiasModel, directions: Array) -> Array:
     return turned(directions[..., 0, :], -model.turn(azimuth_elevation(directions)))

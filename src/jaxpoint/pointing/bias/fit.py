@@ -1,4 +1,4 @@
-"""Biases from pointings at known targets, judged on people who took no part."""
+"""Biases from pointings at known targets, scored on people who were left out."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from jaxpoint.compilation import jit
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.learn import KINDS, LOSS_DEG, Kind, Learnt, average, candidates, fit_all, learn_bias
-from jaxpoint.pointing.bias.models import AbstractModel, Personal
+from jaxpoint.pointing.bias.models import AbstractBiasModel, Personal
 from jaxpoint.pointing.bias.pointings import Pointings
-from jaxpoint.pointing.bias.solve import Observed, offsets, padded, power_of_two
+from jaxpoint.pointing.bias.solve import Observed, offsets, pad, power_of_two
 from jaxpoint.pointing.bias.spread import Spread
 
 __all__ = ["KINDS", "LOSS_DEG", "Kind", "choose", "fit_bias", "fit_personal_bias", "left_out", "refit"]
@@ -36,7 +36,7 @@ def fit_bias(kind: Kind, pointings: Pointings, *, loss_deg: float | None = LOSS_
     Raises:
         InsufficientDataError: fewer than three people, no targets, or a blend without a second line.
     """
-    pointings = _checked(kind, pointings)
+    pointings = _check(kind, pointings)
     learnt = _learn(kind, pointings, loss_deg)
     median = float(np.rad2deg(np.median(np.hypot(*np.asarray(learnt.misses)[: len(pointings)].T))))
     return Bias(
@@ -90,7 +90,7 @@ def left_of_between(shared: Bias, gestures: int) -> Float[np.ndarray, "2 2"]:
 
 def choose(
     kind: Kind, pointings: Pointings, loss_deg: float | None
-) -> tuple[Int[np.ndarray, " chosen"], AbstractModel, Float[np.ndarray, "G 2"]]:
+) -> tuple[Int[np.ndarray, " chosen"], AbstractBiasModel, Float[np.ndarray, "G 2"]]:
     """Candidates of a kind on people left out, each in turn.
 
     Returns:
@@ -107,11 +107,11 @@ def refit(
     chosen: Int[np.ndarray, " chosen"],
     weights: Float[np.ndarray, "N G"],
     loss_deg: float | None,
-) -> AbstractModel:
+) -> AbstractBiasModel:
     """N models, each the average of the chosen candidates fitted under one row of weights."""
     observed = Observed.of(pointings)
     options = jax.tree.map(lambda leaf: leaf[chosen], candidates(kind, len(pointings.lines)))
-    rows = padded(weights.T, len(observed.level)).T
+    rows = pad(weights.T, len(observed.level)).T
     return average(fit_all(kind, options, observed, jnp.asarray(rows), _radians(loss_deg)), np.ones(len(chosen), bool))
 
 
@@ -119,7 +119,7 @@ def _learn(kind: Kind, pointings: Pointings, loss_deg: float | None) -> Learnt:
     """`learn_bias` with gestures and people padded, so that few programs are compiled."""
     observed = Observed.of(pointings)
     size, people = len(observed.level), power_of_two(len(pointings.crowd) + 1, 8) - 1
-    who, there = padded(pointings.who, size).astype(int), padded(np.ones(len(pointings)), size)
+    who, there = pad(pointings.who, size).astype(int), pad(np.ones(len(pointings)), size)
     return _program(kind, observed, who, people, there, _radians(loss_deg))
 
 
@@ -138,7 +138,7 @@ def left_out(
     Raises:
         InsufficientDataError: fewer than four people, no targets, or a blend without a second line.
     """
-    pointings = _checked(kind, pointings, FEWEST_PEOPLE + 1)
+    pointings = _check(kind, pointings, FEWEST_PEOPLE + 1)
     directions, biases = np.zeros((len(pointings), 3)), []
     for person in range(len(pointings.crowd)):
         own = pointings.who == person
@@ -147,7 +147,7 @@ def left_out(
     return directions, tuple(biases)
 
 
-def _checked(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> Pointings:
+def _check(kind: Kind, pointings: Pointings, people: int = FEWEST_PEOPLE) -> Pointings:
     """The pointings, with the lines that the kind reads."""
     if pointings.targets is None:
         raise InsufficientDataError("A bias cannot be fitted without targets; give target_x_m, target_y_m, target_z_m.")

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.geometry.arrays import AnyArray, as_float
-from jaxpoint.pointing.bias.models import AbstractModel, Blend, Constant, ConstantElevation, Polynomial
+from jaxpoint.pointing.bias.models import AbstractBiasModel, Blend, Constant, ConstantElevation, Polynomial
 from jaxpoint.pointing.bias.solve import LEAST_SQUARES, Observed, fit_models
 from jaxpoint.pointing.bias.spread import Spread, fit_spread
 
@@ -26,13 +26,13 @@ LOSS_DEG = 1.5
 DEGREE = 2
 _BETWEEN_FLOOR = np.deg2rad(0.1) ** 2
 
-Model = TypeVar("Model", bound=AbstractModel)
+Model = TypeVar("Model", bound=AbstractBiasModel)
 
 
 class Learnt(eqx.Module):
     """A bias, and what it leaves on people who took no part."""
 
-    model: AbstractModel  # the average of the chosen candidates, fitted on everybody
+    model: AbstractBiasModel  # the average of the chosen candidates, fitted on everybody
     chosen: Bool[Array, " K"]  # candidates that are averaged
     misses: Float[Array, "G 2"]  # rad, to the left and up, on people who took no part; 0 where the weight is
     spread: Spread  # of somebody who was not fitted
@@ -74,7 +74,7 @@ def choose(
     people: int,
     weights: Float[Array, " G"],
     loss_rad: Float[AnyArray, ""] | float | None,
-) -> tuple[Bool[Array, " K"], AbstractModel, Float[Array, "G 2"]]:
+) -> tuple[Bool[Array, " K"], AbstractBiasModel, Float[Array, "G 2"]]:
     """Candidates of a kind on people left out, each in turn.
 
     All choices whose loss there exceeds the least by no more than one standard error over people (Breiman et al. 1984)
@@ -110,7 +110,7 @@ def _near_the_best(loss: Float[Array, "K G"], who: Int[Array, " G"], people: int
     return jax.lax.stop_gradient(means <= means[best] + jnp.sqrt(variance / persons))
 
 
-def candidates(kind: Kind, lines: int) -> AbstractModel:
+def candidates(kind: Kind, lines: int) -> AbstractBiasModel:
     """Where fits start, with a leading axis K: of a blend, every choice of lines beside the first."""
     if kind == "blend":
         used = np.array(list(product((False, True), repeat=lines - 1)))
@@ -142,7 +142,7 @@ def fit_all(
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
 
 
-def average(models: AbstractModel, chosen: Bool[AnyArray, " K"]) -> AbstractModel:
+def average(models: AbstractBiasModel, chosen: Bool[AnyArray, " K"]) -> AbstractBiasModel:
     """The mean of the chosen ones over the leading axis; a line that one blend leaves out has weight 0 there."""
     if not isinstance(models, Blend):
         return jax.tree.map(lambda leaf: leaf[0], models)

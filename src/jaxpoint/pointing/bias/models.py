@@ -18,7 +18,7 @@ from jaxpoint.geometry.arrays import AnyArray, as_float
 PRIOR = 0.5  # standard deviation of a blend's weight and of a polynomial's slope, before any data
 
 
-class AbstractModel(eqx.Module):
+class AbstractBiasModel(eqx.Module):
     """What a bias may look like."""
 
     @abc.abstractmethod
@@ -34,7 +34,7 @@ class AbstractModel(eqx.Module):
         return jnp.zeros(0)
 
 
-class ConstantElevation(AbstractModel):
+class ConstantElevation(AbstractBiasModel):
     """Every line is too high by the same angle: the thesis's model."""
 
     elevation: Float[Array, ""] = eqx.field(converter=as_float)  # rad
@@ -44,7 +44,7 @@ class ConstantElevation(AbstractModel):
         return jnp.stack([jnp.zeros_like(high), high], axis=-1)
 
 
-class Constant(AbstractModel):
+class Constant(AbstractBiasModel):
     """Every line is too far left and too high by the same two angles."""
 
     offset: Float[Array, "2"] = eqx.field(converter=as_float)  # rad
@@ -53,7 +53,7 @@ class Constant(AbstractModel):
         return jnp.broadcast_to(self.offset, as_float(angles)[..., 0, :].shape)
 
 
-class Polynomial(AbstractModel):
+class Polynomial(AbstractBiasModel):
     """Both angles follow the elevation of the line: people err otherwise where they point up than where down.
 
     Of the azimuth nothing can follow: which way somebody faces is not known of one line.
@@ -70,7 +70,7 @@ class Polynomial(AbstractModel):
         return self.coefficients[:, 1:].ravel() / PRIOR
 
 
-class Blend(AbstractModel):
+class Blend(AbstractBiasModel):
     """The first line, drawn towards the others: weighted means of azimuths and of elevations, plus a constant.
 
     The first line has what the weights of the others leave of 1. A weight may be negative: the gap between two lines
@@ -93,10 +93,10 @@ class Blend(AbstractModel):
         return self.weights.ravel() / PRIOR
 
 
-class Personal(AbstractModel):
+class Personal(AbstractBiasModel):
     """A shared model, and by how much one person's lines are farther left and higher than it says."""
 
-    shared: AbstractModel
+    shared: AbstractBiasModel
     offset: Float[Array, "2"] = eqx.field(converter=as_float)  # rad
 
     def turn(self, angles: Float[AnyArray, "*batch L 2"]) -> Float[Array, "*batch 2"]:

@@ -15,11 +15,11 @@ from jaxtyping import Array, Float
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.angles import azimuth_elevation, wrapped
 from jaxpoint.geometry.arrays import AnyArray, as_float
-from jaxpoint.pointing.bias.models import AbstractModel
+from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.bias.pointings import Pointings
 from jaxpoint.pointing.bias.spread import Spread
 
-Model = TypeVar("Model", bound=AbstractModel)
+Model = TypeVar("Model", bound=AbstractBiasModel)
 
 LEAST_SQUARES = 1e6  # a scale of the loss at which it is a sum of squares, rad
 _NARROWING = (4.0, 1.0)  # the loss starts wide: a start far off must not take the good gestures for gross misses
@@ -45,9 +45,9 @@ class Observed(eqx.Module):
     def of(pointings: Pointings) -> Observed:
         """Pointings with targets, padded."""
         size = power_of_two(len(pointings), 64)
-        return Observed(*(padded(x, size) for x in (pointings.angles, pointings.errors, pointings.level)))
+        return Observed(*(pad(x, size) for x in (pointings.angles, pointings.errors, pointings.level)))
 
-    def misses(self, model: AbstractModel) -> Float[Array, "G 2"]:
+    def misses(self, model: AbstractBiasModel) -> Float[Array, "G 2"]:
         """By how much corrected lines point to the left of their targets and above, rad."""
         left, up = jnp.moveaxis(self.errors - model.turn(self.angles), -1, 0)
         return jnp.stack([left * self.level, up], axis=-1)
@@ -65,13 +65,13 @@ def solve(models: Model, pointings: Pointings, weights: Float[np.ndarray, "N G"]
     rows, observed = len(weights), Observed.of(pointings)
     more = power_of_two(rows, 8) - rows
     models = jax.tree.map(lambda leaf: jnp.concatenate([leaf, *[leaf[:1]] * more]), models)
-    chosen = padded(padded(weights.T, len(observed.level)).T, rows + more)
+    chosen = pad(pad(weights.T, len(observed.level)).T, rows + more)
     scale = np.float64(LEAST_SQUARES if loss_rad is None else loss_rad)
     return jax.tree.map(lambda leaf: leaf[:rows], fit_models(models, observed, chosen, scale))
 
 
 def offsets(
-    model: AbstractModel,
+    model: AbstractBiasModel,
     pointings: Pointings,
     weights: Float[np.ndarray, "N G"],
     between: Float[AnyArray, "2 2"],
@@ -83,7 +83,7 @@ def offsets(
     far as they are worth.
     """
     rows, observed = len(weights), Observed.of(pointings)
-    chosen = padded(padded(weights.T, len(observed.level)).T, power_of_two(rows, 1))
+    chosen = pad(pad(weights.T, len(observed.level)).T, power_of_two(rows, 1))
     return np.asarray(_offsets(model, observed, chosen, jnp.asarray(between), within))[:rows]
 
 
@@ -110,14 +110,14 @@ def fit_models(models: Model, observed: Observed, weights: Float[Array, "N G"], 
     def one(model: Model, weights: Array) -> Any:
         numbers, rest = eqx.partition(model, eqx.is_inexact_array)
 
-        def residuals(numbers: AbstractModel, width: Array) -> tuple[Array, Array]:
+        def residuals(numbers: AbstractBiasModel, width: Array) -> tuple[Array, Array]:
             own = eqx.combine(numbers, rest)
             misses = cauchy(observed.misses(own), width * loss_rad)
             return jnp.sqrt(weights)[:, None] * misses / _UNIT, own.prior()
 
         solver = optx.LevenbergMarquardt(rtol=1e-4, atol=1e-5, linear_solver=lx.Normal(lx.Cholesky()))
 
-        def narrower(numbers: AbstractModel, width: Array) -> tuple[AbstractModel, None]:
+        def narrower(numbers: AbstractBiasModel, width: Array) -> tuple[AbstractBiasModel, None]:
             found = optx.least_squares(residuals, solver, numbers, args=width, max_steps=_STEPS, throw=False)
             return found.value, None
 
@@ -127,7 +127,7 @@ def fit_models(models: Model, observed: Observed, weights: Float[Array, "N G"], 
 
 
 @jit
-def _offsets(model: AbstractModel, observed: Observed, weights: Array, between: Array, within: Spread) -> Array:
+def _offsets(model: AbstractBiasModel, observed: Observed, weights: Array, between: Array, within: Spread) -> Array:
     white = jnp.linalg.inv(jnp.linalg.cholesky(within.scale))
     tight = jnp.linalg.inv(jnp.linalg.cholesky(between))
     shared = observed.misses(model)
@@ -150,6 +150,6 @@ def power_of_two(count: int, least: int) -> int:
     return max(least, 1 << max(count - 1, 0).bit_length())
 
 
-def padded(values: np.ndarray, size: int) -> np.ndarray:
+def pad(values: np.ndarray, size: int) -> np.ndarray:
     """With zeros at the end, `size` rows."""
     return np.concatenate([values, np.zeros((size - len(values), *values.shape[1:]))])

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.geometry.line import Ray
-from jaxpoint.pointing.mass import NEAR_M, Edges, Vectors, View, polygon_masses
+from jaxpoint.pointing.mass import NEAR_M, Edges, OutlineView, Vectors, polygon_masses
 from jaxpoint.pointing.shapes.polygon import edge_angle, fan_solid_angle
 
 _THIRDS = 64  # steps that narrow an interval to 1e-11 of its length
@@ -92,7 +92,7 @@ class AbstractPrimitives(eqx.Module):
         along = jax.lax.fori_loop(0, _THIRDS, narrow, (jnp.zeros_like(far), far))[0]
         return near(jax.lax.stop_gradient(along))  # at a minimum `along` has no share in it
 
-    def masses(self, view: View) -> Float[Array, " N"]:
+    def masses(self, view: OutlineView) -> Float[Array, " N"]:
         """The share of a line's distribution of directions on each, whatever stands before it, 0..1."""
         return polygon_masses(self.silhouettes(view.origin, view.frame), view)
 

@@ -1,1 +1,0 @@
-"""From arms over time to answers: gestures, their lines, and what they point at."""

@@ -1,0 +1,1 @@
+"""One small light in the images of several cameras: images to tracks."""

@@ -1,1 +1,0 @@
-"""Follows people through a session: heads and arms over all views."""
