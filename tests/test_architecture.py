@@ -86,11 +86,10 @@ def test_opencv_stays_at_the_edge():
 
 
 def test_tests_of_the_library_import_no_experiment():
-    """Those of `calibration` still share the room of `experiments/uncertainty_coverage.py`."""
     experiments = {path.stem for path in (ROOT.parents[1] / "experiments").rglob("*.py")}
     tests = ROOT.parents[1] / "tests"
     for path in sorted(tests.rglob("*.py")):
-        if path.relative_to(tests).parts[0] not in ("experiments", "calibration"):
+        if path.relative_to(tests).parts[0] != "experiments":
             used = {name.split(".")[0] for name in imported(path)} & experiments
             assert not used, f"{path} imports {used}; what tests experiments belongs to tests/experiments."
 

@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import uncertainty_coverage as coverage
 from jaxpoint.calibration.alignment import align_to_camera_centres, align_to_floor, apply_alignment
 from jaxpoint.calibration.covariance import aligned_with_covariance, with_covariance
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.uncertainty import anchors_of, uncertainty_of
 from jaxpoint.config import LensSettings
+from jaxpoint.simulate.recalibration import Recalibrated
 
 
 @pytest.fixture(scope="module")
 def room():
-    return coverage.Recalibrated.of(3, cameras=5, frames=120, noise_px=0.5)
+    return Recalibrated.of(3, cameras=5, frames=120, noise_px=0.5)
 
 
 @pytest.fixture(scope="module")

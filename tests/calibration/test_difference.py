@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import uncertainty_coverage as coverage
 from jaxpoint.calibration import difference as diff
 from jaxpoint.calibration.alignment import transformed_covariance
 from jaxpoint.calibration.covariance import with_covariance
@@ -17,6 +16,7 @@ from jaxpoint.calibration.uncertainty import camera_ways
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Similarity
+from jaxpoint.simulate.recalibration import Recalibrated, from_truth
 
 PAIRS = 10
 ELSEWHERE = Similarity.exp(jnp.array([1.0, -2.0, 0.5, 0.4, -1.1, 2.0, np.log(0.3)]))
@@ -24,11 +24,11 @@ ELSEWHERE = Similarity.exp(jnp.array([1.0, -2.0, 0.5, 0.4, -1.1, 2.0, np.log(0.3
 
 @pytest.fixture(scope="module")
 def room():
-    return coverage.Recalibrated.of(1, cameras=4, frames=200, noise_px=0.5)
+    return Recalibrated.of(1, cameras=4, frames=200, noise_px=0.5)
 
 
 def calibrated(room, seed):
-    return with_covariance(coverage.from_truth(room, "least_squares", np.random.default_rng([seed, 5])))
+    return with_covariance(from_truth(room, "least_squares", np.random.default_rng([seed, 5])))
 
 
 def compared(one, other, **options):

@@ -8,13 +8,13 @@ import cv2
 import numpy as np
 import pytest
 
-import uncertainty_coverage as coverage
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.expected import boxes_of, eighths, expected_error, gains
 from jaxpoint.calibration.sight import in_view, project
 from jaxpoint.calibration.uncertainty import Anchors, variance_px2
 from jaxpoint.geometry.pose import Similarity
+from jaxpoint.simulate.recalibration import Recalibrated
 from jaxpoint.triangulation import triangulate
 
 SIGMA_PX = 0.5
@@ -24,7 +24,7 @@ ADDED = 96  # twelve at each of the eight places of a box
 
 @pytest.fixture(scope="module")
 def room():
-    return coverage.Recalibrated.of(3, cameras=5, frames=120, noise_px=SIGMA_PX)
+    return Recalibrated.of(3, cameras=5, frames=120, noise_px=SIGMA_PX)
 
 
 @pytest.fixture(scope="module")

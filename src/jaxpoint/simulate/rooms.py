@@ -128,7 +128,7 @@ def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Ro
         along = bool(is_epipolar[frame, camera]) and len(others) > 0
         is_epipolar[frame, camera] = along
         other = int(rng.choice(others)) if along else None
-        pixels[frame, camera] = _displaced(rng, lens, shown[frame], exact[frame, camera], camera, other, noise)
+        pixels[frame, camera] = displaced_pixel(rng, lens, shown[frame], exact[frame, camera], camera, other, noise)
     sizes = np.tile(np.array(IMAGE_PX), (cameras, 1))
     tracks = Tracks.from_pixels(pixels, sizes, visible, times=np.arange(frames) / 25.0)
     return Room(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), offsets)
@@ -218,7 +218,7 @@ def _folds_before(k1, k2, square) -> np.ndarray:
     return 1 + 3 * k1 * inner + 5 * k2 * inner**2 <= 0.05
 
 
-def _displaced(rng, lens, shown, exact, camera, other, noise) -> np.ndarray:
+def displaced_pixel(rng, lens, shown, exact, camera, other, noise) -> np.ndarray:
     """A grossly wrong pixel, more than 10 `noise` off: anywhere, or along the epipolar line of camera `other`.
 
     `shown` (C, 3) is what each camera shows.
