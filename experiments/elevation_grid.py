@@ -19,7 +19,7 @@ from elevation_study import (
     reliability,
     unit,
 )
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import Kind, choose, fit_bias, left_out, refit
 from jaxpoint.pointing.bias.pointings import Pointings
@@ -107,7 +107,7 @@ class Grid:
             models = refit(kind, others, chosen, weights, self.settings.loss_deg)
             turns = jax.vmap(lambda model, own=own, out=out: model.turn(own.angles[out]))(models)
             mine = np.asarray(turns)[self.meant[out], np.arange(out.sum())]
-            directions[out] = turned(own.directions[out, 0], -mine)
+            directions[out] = turn_directions(own.directions[out, 0], -mine)
         return directions
 
     def _personal(self, directions: np.ndarray) -> Row:
@@ -123,7 +123,9 @@ class Grid:
 
     def _triples(self, own: Pointings, meant: np.ndarray, shared: Bias, person: int) -> np.ndarray:
         turns, used = personal_turns(own, meant, shared, self.settings, person)
-        errors = np.stack([errors_deg(own, np.asarray(turned(own.directions[:, 0], -turn[None]))) for turn in turns])
+        errors = np.stack(
+            [errors_deg(own, np.asarray(turn_directions(own.directions[:, 0], -turn[None]))) for turn in turns]
+        )
         return np.where(used, np.nan, errors)
 
     def _probabilities(self, line: str, kind: Kind) -> list[Row]:

@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 from jaxtyping import Bool, Float
 
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import LOSS_DEG
 from jaxpoint.pointing.bias.models import Constant
@@ -57,7 +57,7 @@ class Row:
 def plain_means(own: Pointings) -> np.ndarray:
     """Directions turned back by the mean errors of the other people, as the data's notes have it."""
     turns = np.stack([own.errors[own.who != person].mean(axis=0) for person in range(len(own.crowd))])[own.who]
-    return np.asarray(turned(own.directions[:, 0], -turns))
+    return np.asarray(turn_directions(own.directions[:, 0], -turns))
 
 
 def personal_turns(

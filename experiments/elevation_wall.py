@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from elevation_study import ElevationBias, Row, over_triples, personal_turns
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.pointing.bias.bias import Bias
 from jaxpoint.pointing.bias.fit import left_out
 from jaxpoint.pointing.bias.score import bootstrap, errors_deg
@@ -94,7 +94,7 @@ class Wall:
                 turns, used = personal_turns(straight, self.meant[some], bias, self.settings, number)
                 directions = np.tile([0.0, 1.0, 0.0], (len(self.own), 1))
                 for k, turn in enumerate(turns):
-                    directions[some] = turned(straight.directions[:, 0], -turn[None])
+                    directions[some] = turn_directions(straight.directions[:, 0], -turn[None])
                     right[k, some] = np.where(used[k], np.nan, self._right(directions)[some])
         rows = []
         for name, told in zip(("all", *FEEDBACKS), (">= 98.3", "", "", ">= 95")):

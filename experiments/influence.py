@@ -37,7 +37,7 @@ from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
-from jaxpoint.geometry.line import angle_between, normalised
+from jaxpoint.geometry.line import angle_between, normalise
 from jaxpoint.io.tracks import read_tracks
 from jaxpoint.report.style import BAD, INK, short_names, style
 from jaxpoint.simulate.known import CLICK_PX, TAPE_M, KnownRoom, known_in
@@ -143,7 +143,7 @@ class Solved(NamedTuple):
 def direction(chain: Chain, measured: Measured) -> tuple[Float[Array, "3"], CameraRig]:
     """The pointing line's unit vector: for small turns the length of its change is the turn in rad."""
     rig, (base, tip) = chain.rig_and_points(measured)
-    return normalised(tip - base), rig
+    return normalise(tip - base), rig
 
 
 def angle_question(calibration: Calibration) -> Question:

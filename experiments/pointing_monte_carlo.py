@@ -24,9 +24,9 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit
 from jaxpoint.cores import by_all_cores
 from jaxpoint.geometry import rotation as so3
-from jaxpoint.geometry.angles import azimuth_elevation, turned, wrapped
+from jaxpoint.geometry.angles import azimuth_elevation, turn_directions, wrap_angle
 from jaxpoint.geometry.arrays import as_float
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray, normalise
 from jaxpoint.geometry.pose import Pose
 from jaxpoint.pointing.bias.models import AbstractBiasModel, Constant
 from jaxpoint.pointing.hits import intersect
@@ -212,10 +212,10 @@ def pointings(
     triangulated = slice(None) if method == "endpoints" else slice(-1, None)
     found = _triangulated(disturbed(cameras, noise, keys[0]), pixels[:, triangulated], visible)
     if method == "endpoints":
-        direction = normalised(found[1] - found[0])
+        direction = normalise(found[1] - found[0])
     else:
         direction = plane_direction(supposed, pixels[:, :2], visible).T
-    direction = turned(direction, -model.turn(azimuth_elevation(direction)[:, None]))
+    direction = turn_directions(direction, -model.turn(azimuth_elevation(direction)[:, None]))
     return _score(shapes, found[-1], direction, ends[:, 2], ends[:, 3], bodies.meant[which])
 
 
@@ -291,7 +291,7 @@ def _score(shapes: Shapes, origin: Array, direction: Array, tip: Array, target: 
     hits = intersect(Ray(origin, direction), Objects(shapes, (), (), ()), most=1)
     named = jnp.where(hits.valid[:, 0], hits.object[:, 0], -1)
     return Scored(
-        wrapped(found[:, 0] - true[:, 0]),
+        wrap_angle(found[:, 0] - true[:, 0]),
         found[:, 1] - true[:, 1],
         jnp.arctan2(off, jnp.sum(direction * to, axis=-1)),
         (named == meant).astype(jnp.int32),

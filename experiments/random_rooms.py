@@ -31,9 +31,9 @@ import tyro
 from rich.progress import track
 
 from jaxpoint.calibration.alignment import umeyama
-from jaxpoint.calibration.assembly import centred
+from jaxpoint.calibration.assembly import centre_rig
 from jaxpoint.calibration.covariance import with_covariance
-from jaxpoint.calibration.outliers import Settled, grow, settle
+from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Calibration
@@ -247,7 +247,9 @@ def reference(room: Room, settings: CalibrateSettings) -> Settled:
     recording = Recording.of(room.tracks)
     distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
     freedom = Freedom.of(recording, settings.lens, distortion)
-    return settle(recording, grow(recording, true_state(room, recording), freedom), freedom, settings.outliers)
+    return refine_to_convergence(
+        recording, refine_coarse_to_fine(recording, true_state(room, recording), freedom), freedom, settings.outliers
+    )
 
 
 def true_state(room: Room, recording: Recording) -> RigState:
@@ -261,7 +263,7 @@ def true_state(room: Room, recording: Recording) -> RigState:
     numbers[:count, FOCAL] = np.log(room.focal)
     numbers[:count, CENTER] = room.center
     numbers[:count, CENTER.stop :] = room.distortion
-    return centred(RigState(numbers, base, points), recording.visible, count)
+    return centre_rig(RigState(numbers, base, points), recording.visible, count)
 
 
 def centre_error(room: Room, centres: np.ndarray, points: np.ndarray, placed: np.ndarray) -> tuple[float, bool]:

@@ -38,9 +38,9 @@ MAPS = Path("/proc/self/maps")
 MAX_MAPS = 8_000
 
 
-@pytest.fixture(scope="module", autouse=True)
+@pytest.fixture(autouse=True)
 def _few_programs():
-    """Forgets compiled programs after a file of tests where a process holds many, and gives their memory back."""
+    """Forgets compiled programs after a test where a process holds many, and gives their memory back."""
     yield
     if MAPS.exists() and MAPS.read_bytes().count(b"\n") > MAX_MAPS:
         jax.clear_caches()

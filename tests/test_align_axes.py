@@ -9,7 +9,7 @@ import pytest
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.calibration.upright import Stand, check_size, check_upright
-from jaxpoint.commands.align import aligned
+from jaxpoint.commands.align import align
 from jaxpoint.config import AlignSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Similarity
@@ -64,7 +64,7 @@ def replace_rotation(frame: Similarity) -> Similarity:
 
 def by(solved: Calibration, landmarks: Path, **more) -> Calibration:
     clicks = landmarks.parent / "clicks.csv"
-    return aligned(solved, AlignSettings(landmarks=landmarks, landmark_pixels=clicks, **more))
+    return align(solved, AlignSettings(landmarks=landmarks, landmark_pixels=clicks, **more))
 
 
 @pytest.mark.parametrize(

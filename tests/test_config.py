@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig, checked, load_config, to_toml
+from jaxpoint.config import CalibrateSettings, LensSettings, RoomConfig, check_settings, load_config, to_toml
 from jaxpoint.errors import UsageError
 
 CONFIGS = Path(__file__).parents[1] / "configs"
@@ -86,9 +86,9 @@ def test_a_missing_file_is_named(tmp_path):
 
 
 def test_settings_made_in_python_are_held_to_the_same_ranges():
-    assert checked(CalibrateSettings()) == CalibrateSettings()
+    assert check_settings(CalibrateSettings()) == CalibrateSettings()
     with pytest.raises(UsageError, match=r"'lens\.principal_point_sigma'"):
-        checked(CalibrateSettings(lens=LensSettings(principal_point_sigma=-1.0)))
+        check_settings(CalibrateSettings(lens=LensSettings(principal_point_sigma=-1.0)))
 
 
 @pytest.mark.parametrize("name", ["room", "people"])

@@ -30,7 +30,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.commands.console import table
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.evidence.limb_slices import SLICES
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.pointing.answers import ObjectScene, answers
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import Constant
@@ -126,7 +126,7 @@ def drawn(options: GestureTime) -> Given:
     tip = head + np.array([0.55, -0.25, -0.2])
     target = int(rngs[2].integers(len(centres)))
     towards = centres[target] - tip
-    ahead = np.asarray(turned(towards / np.linalg.norm(towards), BIAS))
+    ahead = np.asarray(turn_directions(towards / np.linalg.norm(towards), BIAS))
     arms = {(at, 0): _arm(rig, head, tip, ahead, rngs[2]) for at in range(options.frames)}
     times = np.linspace(0.0, 1.0, options.frames)
     hold = Hold(0, np.arange(options.frames), times, len(rig))

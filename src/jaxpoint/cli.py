@@ -41,7 +41,7 @@ from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.validate import Validate
-from jaxpoint.config import RoomConfig, checked, load_config
+from jaxpoint.config import RoomConfig, check_settings, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
 Command = (
@@ -145,7 +145,7 @@ def parse(argv: Sequence[str]) -> Command:
     finder.add_argument("--version", action="version", version=f"jaxpoint {version('jaxpoint')}")
     path = finder.parse_known_args(argv)[0].config
     room = RoomConfig() if path is None else load_config(path)
-    return checked(tyro.cli(_parser(room), prog="jaxpoint", description=DESCRIPTION, args=argv, config=STYLE))
+    return check_settings(tyro.cli(_parser(room), prog="jaxpoint", description=DESCRIPTION, args=argv, config=STYLE))
 
 
 def _parser(room: RoomConfig) -> Any:

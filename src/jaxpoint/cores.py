@@ -36,7 +36,7 @@ def by_all_cores(part: Callable[[int], Result], count: int, size: int, device: D
     device = default_device() if device is None else device
     with running_on(device):
         first = part(0)  # compiled before many ask for it
-    whole = jax.tree.map(lambda leaf: _aligned((count, *leaf.shape[1:]), np.dtype(leaf.dtype)), first)
+    whole = jax.tree.map(lambda leaf: _align_memory((count, *leaf.shape[1:]), np.dtype(leaf.dtype)), first)
     wide = jax.dtypes.canonicalize_dtype(np.float64) == np.float64  # may be so in this thread alone
 
     def keep(start: int, found: Result) -> None:
@@ -54,7 +54,7 @@ def by_all_cores(part: Callable[[int], Result], count: int, size: int, device: D
     return result if device == jax.local_devices()[0] else jax.device_put(result, device)
 
 
-def _aligned(shape: tuple[int, ...], kind: np.dtype) -> np.ndarray:
+def _align_memory(shape: tuple[int, ...], kind: np.dtype) -> np.ndarray:
     """Memory that JAX can take over as it is."""
     size = math.prod(shape) * kind.itemsize
     raw = np.empty(size + _ALIGNMENT, np.uint8)

@@ -45,7 +45,7 @@ def _requirements() -> list[tuple[str, str]]:
     return found
 
 
-def _installed(package: str) -> str | None:
+def _installed_version(package: str) -> str | None:
     try:
         return version(package)
     except PackageNotFoundError:
@@ -55,8 +55,8 @@ def _installed(package: str) -> str | None:
 def _packages() -> list[Finding]:
     names = ["jaxpoint", *(name for name, extra in _requirements() if not extra)]
     return [
-        Finding(name, _installed(name) or "missing", _installed(name) is not None,
-                "" if _installed(name) else f"pip install {name}")
+        Finding(name, _installed_version(name) or "missing", _installed_version(name) is not None,
+                "" if _installed_version(name) else f"pip install {name}")
         for name in names
     ]  # fmt: skip
 
@@ -96,8 +96,8 @@ def _extras() -> list[Finding]:
             extras.setdefault(extra, []).append(package)
     findings = []
     for extra, packages in extras.items():
-        missing = [package for package in packages if _installed(package) is None]
-        have = ", ".join(f"{package} {_installed(package)}" for package in packages if package not in missing)
+        missing = [package for package in packages if _installed_version(package) is None]
+        have = ", ".join(f"{package} {_installed_version(package)}" for package in packages if package not in missing)
         findings.append(
             Finding(f"extra '{extra}'", f"{', '.join(missing)} not installed", True, f'pip install "jaxpoint[{extra}]"')
             if missing

@@ -106,7 +106,7 @@ def seven_point(rays_a: Float[Array, "S 7 3"], rays_b: Float[Array, "S 7 3"]) ->
     algebra library on tiny matrices would take longer than everything else.
     """
     rows = (rays_b[..., :, None] * rays_a[..., None, :]).reshape(*rays_a.shape[:2], 9)
-    rows = _eliminated(rows)
+    rows = _echelon_form(rows)
     ones, zeros = jnp.ones_like(rows[:, 0, 0]), jnp.zeros_like(rows[:, 0, 0])
     first = jnp.concatenate([-rows[:, :, 7], jnp.stack([ones, zeros], axis=1)], axis=1)
     second = jnp.concatenate([-rows[:, :, 8], jnp.stack([zeros, ones], axis=1)], axis=1)
@@ -120,7 +120,7 @@ def seven_point(rays_a: Float[Array, "S 7 3"], rays_b: Float[Array, "S 7 3"]) ->
     return first[:, None] + roots[..., None, None] * second[:, None]
 
 
-def _eliminated(rows: Float[Array, "S 7 9"]) -> Float[Array, "S 7 9"]:
+def _echelon_form(rows: Float[Array, "S 7 9"]) -> Float[Array, "S 7 9"]:
     """Reduced row echelon form of the first seven columns, with partial pivoting."""
 
     def eliminate(column, rows):
@@ -261,12 +261,12 @@ def robust_fundamental(
     choice = jnp.argmax(scores)
     first = View(points_a, lenses[choice, 0], half_diagonals[0])
     second = View(points_b, lenses[choice, 1], half_diagonals[1])
-    fundamental = _polished(fits[choice], first, second, seen, threshold)
+    fundamental = _polish(fits[choice], first, second, seen, threshold)
     error = jnp.abs(sampson(fundamental, first, second))
     return PairFit(fundamental, error, seen & (error < threshold), choice)
 
 
-def _polished(fundamental, first: View, second: View, seen, threshold) -> Float[Array, "3 3"]:
+def _polish(fundamental, first: View, second: View, seen, threshold) -> Float[Array, "3 3"]:
     """Iteratively reweighted eight-point fits with MAGSAC weights; a fit that explains less is not taken."""
     rays_a, rays_b, slopes_a, slopes_b = first.rays, second.rays, first.slopes(), second.slopes()
 

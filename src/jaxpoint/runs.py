@@ -73,7 +73,7 @@ def new_run(out: Path, force: bool = False, extras: Callable[[Path], None] | Non
                 extras(out)
     except KeyboardInterrupt:
         if beside.exists() and any(beside.iterdir()):
-            unfinished = _unused(out.with_name(f"{out.name}.unfinished"))
+            unfinished = _unused_path(out.with_name(f"{out.name}.unfinished"))
             beside.rename(unfinished)
             raise Interrupted(f"what was finished lies in {unfinished}") from None
         raise
@@ -134,7 +134,7 @@ def _in_place(beside: Path, out: Path) -> Iterator[None]:
             shutil.rmtree(old.parent, ignore_errors=True)
 
 
-def _unused(path: Path) -> Path:
+def _unused_path(path: Path) -> Path:
     """The path, or the first of path-2, path-3, ... that does not exist."""
     names = (path.with_name(f"{path.name}-{i}") for i in count(2))
     return next(name for name in chain([path], names) if not name.exists())

@@ -141,7 +141,7 @@ def triangulate(
     def part(start: int) -> Triangulation:
         some = slice(start, start + size)
         own = as_float(pixels[some]).astype(dtype), jnp.asarray(visible[some], dtype=bool)
-        seen = tuple(_padded(values, size) for values in own)
+        seen = tuple(_pad(values, size) for values in own)
         return _triangulate(stacked, *seen, *noise, refine_steps, block, covariance)
 
     if count > size:
@@ -180,7 +180,7 @@ def _sizes(count: int, cameras: int, *, whole: bool) -> tuple[int, int]:
     return block, min(size, _PART) if cpu and not whole else size
 
 
-def _padded(values: Shaped[Array, "n ..."], size: int) -> Shaped[Array, "size ..."]:
+def _pad(values: Shaped[Array, "n ..."], size: int) -> Shaped[Array, "size ..."]:
     """With zeros at the end, if it is too short."""
     missing = size - len(values)
     return jnp.pad(values, ((0, missing), *[(0, 0)] * (values.ndim - 1))) if missing else values
@@ -248,7 +248,7 @@ def _triangulate_block(
     seen = Seen(pixel_x, pixel_y, u, v, jnp.where(used, w, 1.0), weight, jnp.maximum(views, 1))
 
     points, normal = _optimum(cameras, seen, steps)
-    (x, y), behind = _projected(cameras, seen, points)
+    (x, y), behind = _project_all(cameras, seen, points)
     residuals = (x - seen.pixel_x) * weight, (y - seen.pixel_y) * weight
     cost = _mean(seen, residuals[0] ** 2 + residuals[1] ** 2)
     parallax = _parallax(cameras, seen)
@@ -436,7 +436,7 @@ def _slopes(cameras: Camera, seen: Seen, points: Vector) -> tuple[Slopes, Float[
     return cameras.lens.slopes_of(cameras.lens.parameters, local), _behind(cameras, local, seen.weight)
 
 
-def _projected(
+def _project_all(
     cameras: Camera, seen: Seen, points: Vector
 ) -> tuple[tuple[Float[Array, "C B"], Float[Array, "C B"]], Float[Array, "C B"]]:
     """Pixels of points in every camera, which mean nothing where a view is not used, and where they lie behind it."""

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.recording import Recording, RigState
-from jaxpoint.calibration.twoview import TwoViewGeometry, normalised
+from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.simulate.rooms import Room, random_room
@@ -68,7 +68,7 @@ def pinhole():
     visible = inside & (np.random.default_rng(0).random(inside.shape) < 0.8)
     tracks = Tracks.from_pixels(pixels, drawn.tracks.image_sizes, visible)
     room = Room(**{**{name: getattr(room, name) for name in room.__dataclass_fields__}, "tracks": tracks})
-    data = normalised(tracks)
+    data = normalise_tracks(tracks)
     kept = data.visible & (data.visible.sum(axis=1) >= 2)[:, None]
     shared = data.visible.T.astype(int) @ data.visible.astype(int)
     pairs = {(i, j): room_fundamental(room, i, j) for i in range(4) for j in range(i + 1, 4)}

@@ -12,7 +12,7 @@ from jaxpoint.calibration import difference as diff
 from jaxpoint.calibration.alignment import transformed_covariance
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.sight import in_view
-from jaxpoint.calibration.uncertainty import camera_ways
+from jaxpoint.calibration.uncertainty import gauge_directions_of_cameras
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Similarity
@@ -100,7 +100,7 @@ def test_chi_square_is_that_of_least_squares_written_out(pairs):
     scale = np.where(scale > 0, scale, 1e-3)
     mixed = rng.normal(size=(60, 60)) * 0.1
     full = np.outer(scale, scale) * (np.eye(60) + mixed @ mixed.T)
-    apart, ways = scale * rng.normal(size=60), camera_ways(one.rig)
+    apart, ways = scale * rng.normal(size=60), gauge_directions_of_cameras(one.rig)
 
     def least(kept):
         part = np.repeat(kept, 15)

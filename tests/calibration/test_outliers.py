@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.consensus import consensus
-from jaxpoint.calibration.outliers import LEAST_SIGMA_PX, grow, judge, robust_cost, robust_sigma, settle
+from jaxpoint.calibration.outliers import (
+    LEAST_SIGMA_PX,
+    classify_observations,
+    refine_coarse_to_fine,
+    refine_to_convergence,
+    robust_cost,
+    robust_sigma,
+)
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.config import LensSettings, OutlierSettings
@@ -84,7 +91,7 @@ def test_an_epipolar_outlier_of_three_views_is_ambiguous(noisy, epipolar_outlier
     found = consensus(recording, noisy.truth, THRESHOLD)
     three = wrong[~recording.visible[wrong, 3]]
     assert found.ambiguous[three].mean() > 0.9
-    verdicts = judge(recording, noisy.truth, THRESHOLD).verdicts[three]
+    verdicts = classify_observations(recording, noisy.truth, THRESHOLD).verdicts[three]
     assert (verdicts[found.ambiguous[three]][:, :3] == Verdict.UNDECIDED).all()
     untouched = np.setdiff1d(np.flatnonzero(recording.visible.any(axis=1)), wrong)
     assert not found.ambiguous[untouched].any()
@@ -96,13 +103,13 @@ def test_an_epipolar_outlier_of_four_views_is_found(noisy, epipolar_outliers):
     found = consensus(recording, noisy.truth, THRESHOLD)
     np.testing.assert_array_equal(found.agree[four], np.tile([False, True, True, True], (len(four), 1)))
     assert np.linalg.norm(found.points[four] - noisy.truth.points[four], axis=1).max() < 0.1  # m
-    verdicts = judge(recording, noisy.truth, THRESHOLD).verdicts[four]
+    verdicts = classify_observations(recording, noisy.truth, THRESHOLD).verdicts[four]
     assert (verdicts[:, 0] == Verdict.REPROJECTION).all()
     assert (verdicts[:, 1:] == Verdict.KEPT).mean() > 0.99
 
 
 def test_every_verdict_has_its_reason(noisy):
-    judged = judge(noisy.recording, noisy.truth, THRESHOLD)
+    judged = classify_observations(noisy.recording, noisy.truth, THRESHOLD)
     visible, verdicts = noisy.recording.visible, judged.verdicts
     np.testing.assert_array_equal(verdicts == Verdict.HIDDEN, ~visible)
     np.testing.assert_array_equal(judged.kept, verdicts == Verdict.KEPT)
@@ -125,7 +132,7 @@ def test_a_point_behind_a_camera_is_called_so(noisy):
     turned[0] = flip @ turned[0]
     cameras = truth.cameras.copy()
     cameras[0, 3:6] = flip @ cameras[0, 3:6]
-    judged = judge(noisy.recording, type(truth)(cameras, turned, truth.points), THRESHOLD)
+    judged = classify_observations(noisy.recording, type(truth)(cameras, turned, truth.points), THRESHOLD)
     seen = noisy.recording.visible[:, 0] & (judged.kept[:, 1:].sum(axis=1) >= 2)
     assert seen.sum() > 50
     assert (judged.verdicts[seen, 0] == Verdict.BEHIND).mean() > 0.95
@@ -138,9 +145,9 @@ def test_what_was_rejected_comes_back(noisy):
     off[:, 6] += np.array([0.05, -0.05, 0.03, -0.03])
     off[:, 10] = 0.0
     start = type(noisy.truth)(off, noisy.truth.base, noisy.truth.points)
-    at_first = judge(noisy.recording, start, THRESHOLD).kept.sum()
-    grown = [grow(noisy.recording, state, freedom) for state in (start, noisy.truth)]
-    ends = [settle(noisy.recording, judged, freedom, OutlierSettings()) for judged in grown]
+    at_first = classify_observations(noisy.recording, start, THRESHOLD).kept.sum()
+    grown = [refine_coarse_to_fine(noisy.recording, state, freedom) for state in (start, noisy.truth)]
+    ends = [refine_to_convergence(noisy.recording, judged, freedom, OutlierSettings()) for judged in grown]
     assert at_first < 0.5 * ends[0].judged.kept.sum()
     np.testing.assert_array_equal(ends[0].judged.kept, ends[1].judged.kept)
     assert ends[0].converged
@@ -150,6 +157,6 @@ def test_what_was_rejected_comes_back(noisy):
     again = robust_cost(noisy.recording, ends[0].judged.state)
     assert again == pytest.approx(ends[0].cost, rel=1e-9)
     # A bound on the rounds is kept and told.
-    cut = settle(noisy.recording, grown[0], freedom, OutlierSettings(max_rounds=1))
+    cut = refine_to_convergence(noisy.recording, grown[0], freedom, OutlierSettings(max_rounds=1))
     assert cut.rounds == 1
     assert not cut.converged

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from jaxpoint.calibration import selfcal
 from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.covariance import with_covariance
-from jaxpoint.calibration.outliers import grow, settle
+from jaxpoint.calibration.outliers import refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
 from jaxpoint.calibration.result import Verdict
@@ -52,7 +52,9 @@ def test_the_optimum_of_the_truth_is_reached(solved, state_of, seed):
     room, found = solved[seed]
     recording, settings = Recording.of(room.tracks), CalibrateSettings()
     freedom = Freedom.of(recording, settings.lens, "radial2")
-    best = settle(recording, grow(recording, state_of(room, recording), freedom), freedom, settings.outliers)
+    best = refine_to_convergence(
+        recording, refine_coarse_to_fine(recording, state_of(room, recording), freedom), freedom, settings.outliers
+    )
     assert found.converged
     assert cost_of(found) <= 1.01 * best.cost
     from_truth = centre_error(best.judged.state.positions[: room.tracks.cameras], room.positions)

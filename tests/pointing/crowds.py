@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.pointing.bias.pointings import Pointings
 
 NAMES = ("anna", "ben", "cleo", "dan", "eve", "fay", "gus")
@@ -29,7 +29,7 @@ def crowd(
     head = np.array(bias_deg) + own
     hand = np.array([5.0, -3.0]) + own + 0.2 * draw.normal(size=(count, 2))
     shoulder = own + 10 * draw.choice([-1, 1], size=(count, 1))
-    directions = np.stack([turned(to, np.deg2rad(off)) for off in (head, hand, shoulder)], axis=1)
+    directions = np.stack([turn_directions(to, np.deg2rad(off)) for off in (head, hand, shoulder)], axis=1)
     names = tuple(f"{NAMES[person % 7]}{person // 7 or ''}" for person in who)
     gestures_named = tuple(map(str, range(count)))
     return Pointings(gestures_named, names, LINES, np.repeat(tips[:, None], 3, axis=1), directions, targets)

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_t
 from jaxpoint.body.joints import estimate_joints, is_left
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
-from jaxpoint.geometry.angles import azimuth_elevation, turned
+from jaxpoint.geometry.angles import azimuth_elevation, turn_directions
 from jaxpoint.pointing.bias.corrected_lines import corrected_lines
 from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias, left_out
 from jaxpoint.pointing.bias.learn import learn_bias
@@ -67,7 +67,7 @@ def test_polynomial_follows_the_elevation():
     # The line that is bent by a function of its new elevation: solved by repetition.
     true = line.to_targets
     for _ in range(50):
-        directions = np.asarray(turned(true, bent))
+        directions = np.asarray(turn_directions(true, bent))
         elevation = np.asarray(azimuth_elevation(directions))[:, 1]
         bent = np.stack([0.05 + 0.1 * elevation, 0.1 - 0.2 * elevation + 0.3 * elevation**2], axis=1)
     found = fit_bias("polynomial", replace(line, directions=directions[:, None]))
@@ -85,7 +85,7 @@ def test_nobody_is_scored_by_a_bias_that_has_seen_them(people):
     """Whatever the first person does, the bias for the first person is the same; the others' changes."""
     first = people.who == 0
     moved = people.directions.copy()
-    moved[first] = turned(moved[first], np.broadcast_to(np.deg2rad([20.0, -10.0]), (first.sum(), 3, 2)))
+    moved[first] = turn_directions(moved[first], np.broadcast_to(np.deg2rad([20.0, -10.0]), (first.sum(), 3, 2)))
     before, biases = left_out("constant", people.of_lines(("head",)))
     after, changed = left_out("constant", replace(people, directions=moved).of_lines(("head",)))
     np.testing.assert_array_equal(biases[0].model.offset, changed[0].model.offset)
@@ -138,7 +138,7 @@ def test_a_drawn_line_knows_that_its_lines_share_joints(side):
         own = flat.reshape(-1, 6, 3) * mirror
         ways = np.stack([own[:, 4] - own[:, 3], own[:, 5] - own[:, 4]], axis=1)
         ways /= np.linalg.norm(ways, axis=2, keepdims=True)
-        straight = turned(ways[:, 0], -model.turn(azimuth_elevation(ways)))
+        straight = turn_directions(ways[:, 0], -model.turn(azimuth_elevation(ways)))
         return np.concatenate([own[:, 5] * mirror, np.asarray(straight) * mirror], axis=1)
 
     moved = turned_by_hand(joints)
@@ -194,7 +194,7 @@ def test_a_personal_offset_is_the_posterior_mean(people, constant):
     draw = np.random.default_rng(4)
     own = people.of_lines(("head",)).select(np.flatnonzero(people.who == 2))
     errors = np.deg2rad([5.0, -4.0]) + np.deg2rad(0.5) * draw.normal(size=(len(own), 2))
-    own = replace(own, directions=np.asarray(turned(own.to_targets, errors))[:, None])
+    own = replace(own, directions=np.asarray(turn_directions(own.to_targets, errors))[:, None])
     three = own.select(np.arange(3))
     level = three.level
     tight = np.diag([(level**2).sum() / 4 + 1 / 9, 3 / 4 + 1 / 9])

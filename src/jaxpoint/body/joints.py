@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.body.stature import HEAD_M, SMALLEST_M, TALLEST_M
 from jaxpoint.geometry.arrays import AnyArray, as_float
-from jaxpoint.geometry.line import normalised
+from jaxpoint.geometry.line import normalise
 
 EYE_AHEAD = 0.047  # of the stature, from the middle of the head to the eyes: 8 cm of a head that is 20 cm long
 EYE_ASIDE_M = 0.032  # half the distance between the eyes
@@ -53,7 +53,7 @@ def estimate_joints(
     """
     head, elbow, wrist, tip = as_float(head), as_float(elbow), as_float(wrist), as_float(tip)
     stature = jnp.clip(head[2] + HEAD_M / 2, SMALLEST_M, TALLEST_M)
-    gaze, left = normalised(tip - head), _left(head, tip)
+    gaze, left = normalise(tip - head), _left(head, tip)
     aside = left @ (elbow - head)
     side = aside / jnp.sqrt(aside**2 + _SIDE_M**2) * left
     eye = head + EYE_AHEAD * stature * gaze + EYE_ASIDE_M * side
@@ -77,7 +77,7 @@ def is_left(joints: Joints) -> Bool[Array, ""]:
 def _left(head: Array, tip: Array) -> Array:
     """Unit, level, to the left of a person who looks from the head at the tip."""
     gaze = tip - head
-    return normalised(jnp.stack([-gaze[1], gaze[0], jnp.zeros_like(gaze[0])]))
+    return normalise(jnp.stack([-gaze[1], gaze[0], jnp.zeros_like(gaze[0])]))
 
 
 def joints_with_covariance(

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.geometry.arrays import AnyArray, promote
 from jaxpoint.geometry.linalg import solve_positive
-from jaxpoint.geometry.line import normalised
+from jaxpoint.geometry.line import normalise
 
 STEPS = 16
 _EDGE_M = 0.02  # over which a slice's weight rises at the ends of the span
@@ -100,14 +100,14 @@ def _axis_at(given: _Given, offsets: Array) -> LimbAxis:
 
     def direction_of(x: Array) -> Array:
         near, far = _ends(given, x)
-        return normalised(near - far)
+        return normalise(near - far)
 
     of_direction = jax.jacfwd(direction_of)(offsets)
     of_ends = jax.jacfwd(lambda x: jnp.concatenate(_ends(given, x)))(offsets)
     return LimbAxis(
         near,
         far,
-        normalised(near - far),
+        normalise(near - far),
         of_direction @ covariance @ of_direction.T,
         of_ends @ covariance @ of_ends.T,
         jnp.sqrt(jnp.where(some, rms2, 0.0)),
@@ -138,14 +138,14 @@ def _ends(given: _Given, offsets: Array) -> tuple[Array, Array]:
 
 def _residuals(given: _Given, offsets: Array) -> Array:
     near, far = _ends(given, offsets)
-    normal = normalised(jnp.cross(near[None] - given.origins, far[None] - given.origins))
+    normal = normalise(jnp.cross(near[None] - given.origins, far[None] - given.origins))
     return (given.focal / given.sigma_px)[:, None] * jnp.sum(given.rays * normal[:, None, :], axis=-1)
 
 
 def _slice_weights(given: _Given, offsets: Array) -> Array:
     """The weight of each slice by its place along the axis."""
     near, far = _ends(given, offsets)
-    behind = _behind(given.origins, given.rays, near, normalised(near - far)) + given.span[0]
+    behind = _behind(given.origins, given.rays, near, normalise(near - far)) + given.span[0]
     rise = jnp.clip((behind - given.span[0] + _EDGE_M) / _EDGE_M, 0.0, 1.0)
     fall = jnp.clip((given.span[1] + _EDGE_M - behind) / _EDGE_M, 0.0, 1.0)
     return jnp.where(given.seen, rise * fall, 0.0)
@@ -187,7 +187,7 @@ def _damp(matrix: Array) -> Array:
 def _across(direction: Array) -> Array:
     """Two unit vectors across a direction, as rows."""
     helper = jnp.where(jnp.abs(direction[2]) < 0.9, jnp.eye(3)[2], jnp.eye(3)[0]).astype(direction.dtype)
-    first = normalised(jnp.cross(direction, helper))
+    first = normalise(jnp.cross(direction, helper))
     return jnp.stack([first, jnp.cross(direction, first)])
 
 

@@ -17,11 +17,11 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.tracks import Tracks
 
-LOST = 0.9  # a rig that keeps less than this share of what the pairs believe is not called good
+MIN_EXPLAINED = 0.9  # a rig that keeps less than this share of what the pairs believe is not called good
 # (right rigs of random rooms and real recordings keep 0.92 to 1.02, rigs from spoilt starts 0.02 to 0.88)
 
 
-def assembled(
+def assemble_calibration(
     tracks: Tracks,
     recording: Recording,
     settled: Settled,
@@ -38,7 +38,7 @@ def assembled(
         explained: inliers over the observations on which pairs of cameras agree.
     """
     frames, cameras = tracks.frames, tracks.cameras
-    state = centred(settled.judged.state, settled.judged.kept, cameras)
+    state = centre_rig(settled.judged.state, settled.judged.kept, cameras)
     pixels, _ = project(state)
     verdicts = settled.judged.verdicts[:frames, :cameras]
     known = (settled.judged.errors > 0)[:frames, :cameras]
@@ -53,7 +53,7 @@ def assembled(
         residuals=np.where(known[..., None], pixels[:frames, :cameras] - tracks.pixels, 0.0),
         verdicts=verdicts,
         sigma_px=settled.sigma_px,
-        converged=settled.converged and explained >= LOST,
+        converged=settled.converged and explained >= MIN_EXPLAINED,
         message=_message(settled, explained),
         pairs=pairs,
         seed=settings.seed,
@@ -65,18 +65,18 @@ def assembled(
 
 
 def _message(settled: Settled, explained: float) -> str:
-    if explained < LOST:
+    if explained < MIN_EXPLAINED:
         return (
             f"ended in a rig that keeps only {explained:.0%} of the observations on which pairs of cameras agree "
-            f"({LOST:.0%} wanted): it is probably wrong; see whether all cameras are in step (`jaxpoint check`), or "
-            "try --init essential"
+            f"({MIN_EXPLAINED:.0%} wanted): it is probably wrong; see whether all cameras are in step "
+            "(`jaxpoint check`), or try --init essential"
         )
     if settled.converged:
         return f"converged after {settled.rounds} rounds: the cost and the inliers no longer change"
     return f"stopped after {settled.rounds} rounds without converging"
 
 
-def centred(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
+def centre_rig(state: RigState, kept: np.ndarray, cameras: int) -> RigState:
     """The same rig with the origin amid the light's path and the cameras 1 from their middle (root mean square).
 
     What targets or known points hold stays: the scale, or the whole frame.

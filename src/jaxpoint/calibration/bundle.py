@@ -95,7 +95,7 @@ class Adjusted(eqx.Module):
     settled: Array  # False where the step limit came first
 
 
-def solved(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
+def run_solver(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -> Adjusted:
     """Run the structured Levenberg-Marquardt through optimistix. One program for every number of steps and loss."""
     options = {"own_residuals": True}
     solution = optx.least_squares(
@@ -105,7 +105,7 @@ def solved(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) -
     return Adjusted(value.cameras, value.points, value.poses, stats["cost"], stats["num_steps"], stats["settled"])
 
 
-solve = jit(solved)
+solve = jit(run_solver)
 
 
 def to_blocks(values: np.ndarray, block: int = BLOCK) -> np.ndarray:

@@ -25,13 +25,13 @@ def camera_findings(
     calibration: Calibration, settings: CalibrateSettings, normal: NormalEquations | None
 ) -> Iterator[Finding]:
     """What single cameras say against the calibration."""
-    yield from _kept(calibration, settings)
+    yield from _inlier_findings(calibration, settings)
     yield from _stretches(calibration)
     if normal is not None and calibration.freedom is not None:
         yield from _clocks(calibration, normal)
 
 
-def _kept(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Finding]:
+def _inlier_findings(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Finding]:
     shares, names = kept_shares(calibration), calibration.tracks.names
     for camera in np.flatnonzero(shares < max(settings.min_kept, LEAST_KEPT)):
         name = names[camera]

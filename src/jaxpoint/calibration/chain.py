@@ -159,7 +159,7 @@ def chain_of(
             raise InsufficientDataError(f"{what} {few[0]} is seen by {views} cameras; a point needs two or more.")
     weights = np.ones(len(landmarks)) if sigmas is None else (np.min(sigmas) / np.asarray(sigmas)) ** 2
     with jax.enable_x64(True):
-        return _chain(calibration, weights, clicked, visible), _measured(
+        return _chain(calibration, weights, clicked, visible), _measurements(
             calibration, landmarks, np.where(np.asarray(clicked)[..., None], clicks, 0.0), pixels, visible
         )
 
@@ -183,7 +183,7 @@ def _chain(calibration: Calibration, weights, clicked, visible) -> Chain:
     )
 
 
-def _measured(calibration: Calibration, landmarks, clicks, pixels, visible) -> Measured:
+def _measurements(calibration: Calibration, landmarks, clicks, pixels, visible) -> Measured:
     assert calibration.freedom is not None
     freedom = calibration.freedom.at_noise(calibration.sigma_px)
     believed = calibration.kept & calibration.point_valid[:, None]

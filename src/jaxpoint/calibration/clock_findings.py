@@ -59,8 +59,8 @@ def finding(clock: CameraClock, timing: Timing) -> str:
 def flags(clocks: Sequence[CameraClock], timing: Timing) -> str:
     """The flags that bring these cameras to the clock of the others."""
     common = _common(timing.rate)
-    late = [f"--offset {_quoted(c.name)}={_round_offset(c):g}" for c in clocks if abs(_round_offset(c)) >= 0.1]
-    rates = [f"--rate {_quoted(c.name)}={_rate(c, timing)}" for c in clocks if c.rate != 1.0]
+    late = [f"--offset {_quote(c.name)}={_round_offset(c):g}" for c in clocks if abs(_round_offset(c)) >= 0.1]
+    rates = [f"--rate {_quote(c.name)}={_rate(c, timing)}" for c in clocks if c.rate != 1.0]
     return " ".join([*late, *([f"--rate all={common:g}"] if rates else []), *rates])
 
 
@@ -70,7 +70,7 @@ def cause(held: float, clock: CameraClock) -> tuple[str, str]:
     Args:
         held: as `held_share` has it.
     """
-    leave = f"Leave it out by `--leave-out {_quoted(clock.name)}`"
+    leave = f"Leave it out by `--leave-out {_quote(clock.name)}`"
     if held > HELD:
         return (
             f"The light of camera {clock.name} stands on one pixel in {held:.0%} of its frames, and moves in others.",
@@ -123,7 +123,7 @@ def _rate(clock: CameraClock, timing: Timing) -> str:
     return f"{rate:.{digits}f}".rstrip("0").rstrip(".")
 
 
-def _quoted(name: str) -> str:
+def _quote(name: str) -> str:
     """A name as a shell takes it."""
     import shlex
 

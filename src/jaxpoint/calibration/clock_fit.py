@@ -8,7 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.calibration.twoview import FIRST_LENSES, LOOSE, NormalisedTracks, fit_pair, normalised, pair_threshold
+from jaxpoint.calibration.twoview import (
+    FIRST_LENSES,
+    LOOSE,
+    NormalisedTracks,
+    fit_pair,
+    normalise_tracks,
+    pair_threshold,
+)
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
 from jaxpoint.epipolar import PairFit
@@ -115,7 +122,7 @@ class Agreement:
             moved = on_clock(alone, moving, np.array([clock.offset]), np.array([clock.rate])).applied(alone)
             moved = moved.select_frames(self._rows(within))
             lens = None if self._intrinsics is None else self._intrinsics.select([camera])
-            self._columns[key] = normalised(moved, lens)
+            self._columns[key] = normalise_tracks(moved, lens)
         return self._columns[key]
 
     def _rows(self, within) -> np.ndarray:

@@ -29,7 +29,7 @@ from jaxpoint.calibration.lag_search import (
     tolerance,
 )
 from jaxpoint.calibration.offset_search import PairOffset, chosen_pairs, joint_offsets, search_offset
-from jaxpoint.calibration.twoview import normalised
+from jaxpoint.calibration.twoview import normalise_tracks
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
 from jaxpoint.motion import moved_to_clock, without_jumps
@@ -377,6 +377,6 @@ def _relative(clock: Clock, zero: Clock) -> Clock:
 
 
 def _courses(tracks: Tracks, agreement: Agreement, intrinsics: CameraRig | None) -> Courses:
-    data = normalised(tracks, intrinsics)
+    data = normalise_tracks(tracks, intrinsics)
     visible = data.visible[: tracks.frames] & agreement.usable
     return dense_courses(data.points[: tracks.frames], visible, tracks.frame_ids, agreement.step)

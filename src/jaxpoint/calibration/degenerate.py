@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, undistorted
+from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, undistort_points
 from jaxpoint.errors import ContradictionError, InsufficientDataError
 from jaxpoint.tracks import Tracks
 
@@ -46,7 +46,7 @@ def check_geometry(tracks: Tracks, data: NormalisedTracks, geometry: TwoViewGeom
 def _homography_error(data: NormalisedTracks, geometry: TwoViewGeometry, pair: tuple[int, int]) -> float:
     """The 80 % quantile of the transfer error (px) of the best homography between two views."""
     i, j = pair
-    points, weight = undistorted(data.points, geometry.lenses)
+    points, weight = undistort_points(data.points, geometry.lenses)
     both = data.visible[:, i] & data.visible[:, j] & (weight[:, i] > 0) & (weight[:, j] > 0)
     first, second = points[both, i], points[both, j]
     if len(first) < 10:

@@ -64,7 +64,7 @@ def determinacy_of(calibration: Calibration) -> Determinacy | None:
     return Determinacy(sigmas / np.asarray(calibration.rig.cameras.focal)[:, 0], expected, float(spread))
 
 
-def undetermined(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Finding]:
+def determinacy_findings(calibration: Calibration, settings: CalibrateSettings) -> Iterator[Finding]:
     """The finding that the recording does not determine the rig, with the cause and what helps."""
     found = determinacy_of(calibration)
     if found is None:

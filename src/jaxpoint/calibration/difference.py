@@ -27,7 +27,7 @@ from jaxpoint.calibration.alignment import transformed_covariance, umeyama
 from jaxpoint.calibration.expected import moved_by_cameras, parallax
 from jaxpoint.calibration.middle import far_middle, near, rig_about
 from jaxpoint.calibration.sight import centres, derivatives_perturbed, in_view, poses, project
-from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, centres_by_parameters
+from jaxpoint.calibration.uncertainty import FREEDOMS, centres_by_parameters, gauge_directions_of_cameras
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3
@@ -136,7 +136,7 @@ def difference(
         pixels, weights = project(first, places), np.ones(len(first))
         similarity = Similarity.identity()
         if align:
-            similarity, weights = _aligned(first, second, places, seen, pixels)
+            similarity, weights = _align_rigs(first, second, places, seen, pixels)
         moved = second.transformed(similarity)
         seen = seen & in_view(moved, places)
         useful = _enough(first, places, seen)
@@ -145,7 +145,7 @@ def difference(
         allowed = None
         if covariances is not None:
             joint = covariances[0] + transformed_covariance(covariances[1], moved, similarity)
-            allowed = _allowed(first, moved, joint, places, seen, weights if align else None)
+            allowed = _allowed_difference(first, moved, joint, places, seen, weights if align else None)
         shifts = np.where(seen[..., None], project(moved, places) - pixels, 0.0)
         return Difference(first, moved, similarity, places, seen, shifts, again - places, allowed)
 
@@ -189,7 +189,7 @@ def _enough(rig: CameraRig, places: np.ndarray, seen: np.ndarray) -> Bool[np.nda
     return enough
 
 
-def _aligned(
+def _align_rigs(
     first: CameraRig, second: CameraRig, places: np.ndarray, seen: np.ndarray, pixels: np.ndarray
 ) -> tuple[Similarity, Float[np.ndarray, " C"]]:
     """The similarity under which the cameras project alike, and the weight that each camera had in it."""
@@ -202,7 +202,7 @@ def _aligned(
         usual = 2.0 * np.median(errors[seen.any(axis=0)]) + 1e-9
         weights = (1.0 + (errors / usual) ** 2) ** -2.0
         by_camera, _ = derivatives_perturbed(moved, places, seen)
-        slopes = by_camera @ camera_ways(moved)  # (P, C, 2, 7)
+        slopes = by_camera @ gauge_directions_of_cameras(moved)  # (P, C, 2, 7)
         pull = (weights[:, None, None] * slopes).reshape(-1, FREEDOMS)
         normal = pull.T @ slopes.reshape(-1, FREEDOMS)
         step = -np.linalg.solve(normal, pull.T @ np.where(seen[..., None], shifts, 0.0).ravel())
@@ -246,7 +246,7 @@ def _parameters_apart(first: CameraRig, second: CameraRig) -> Float[np.ndarray, 
     return np.concatenate([turned, to - from_, lens], axis=1)
 
 
-def _allowed(
+def _allowed_difference(
     first: CameraRig, second: CameraRig, joint: np.ndarray, places: np.ndarray, seen: np.ndarray, weights
 ) -> Allowed:
     """What the sum of both covariances lets expect; `weights` are those of the alignment, None without one."""
@@ -256,7 +256,7 @@ def _allowed(
         places = places - middle
     count, apart = len(first), _parameters_apart(first, second)
     by_camera, _ = derivatives_perturbed(first, places, seen)
-    ways = camera_ways(first).reshape(-1, FREEDOMS)
+    ways = gauge_directions_of_cameras(first).reshape(-1, FREEDOMS)
     held = joint if weights is None else _without_frame(joint, by_camera, ways, weights)
     blocks = held.reshape(count, first.camera_size, count, first.camera_size)
     pixel_variance = np.zeros((len(places), count))
@@ -267,7 +267,7 @@ def _allowed(
     centre_variance = [np.trace(at_centres[c] @ blocks[c, :, c] @ at_centres[c].T) for c in range(count)]
     flat = moved_by_cameras(first, places, seen)[0].reshape(-1, len(held))
     point_variance = 3.0 * float(((flat @ held) * flat).sum(axis=1).mean())
-    odd = _judged(apart, joint, ways if weights is not None else ways[:, :0])
+    odd = _set_cameras_aside(apart, joint, ways if weights is not None else ways[:, :0])
     return Allowed(
         np.sqrt(pixel_variance.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)),
         np.sqrt(np.maximum(centre_variance, 0.0)),
@@ -276,7 +276,7 @@ def _allowed(
     )
 
 
-def _judged(apart, joint, ways) -> tuple[np.ndarray, float, float, int, tuple[int, ...]]:
+def _set_cameras_aside(apart, joint, ways) -> tuple[np.ndarray, float, float, int, tuple[int, ...]]:
     """The last fields of `Allowed`: cameras are set aside, worst first, while that makes the rest far more alike."""
     count, size = apart.shape
     ways = ways.reshape(count, size, ways.shape[1])

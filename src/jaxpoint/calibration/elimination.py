@@ -54,13 +54,13 @@ class _Group(eqx.Module):
 
 def _groups(y: Unknowns, problem: Problem) -> list[_Group]:
     """The points, then each target's poses."""
-    groups = [_Group(Points(), y.points, *_shown(problem.pixels, problem.weights), problem.point_priors)]
+    groups = [_Group(Points(), y.points, *_mask_hidden(problem.pixels, problem.weights), problem.point_priors)]
     for poses, target in zip(y.poses, problem.targets):
-        groups.append(_Group(Poses(target.shape), poses, *_shown(target.pixels, target.weights), None))
+        groups.append(_Group(Poses(target.shape), poses, *_mask_hidden(target.pixels, target.weights), None))
     return groups
 
 
-def _shown(pixels: Float[Array, "NB C q N"], weights: Float[Array, "NB C N"]):
+def _mask_hidden(pixels: Float[Array, "NB C q N"], weights: Float[Array, "NB C N"]):
     """Pixels and weights; what is hidden may be anything, also infinite, and must not reach a product."""
     return jnp.where(weights[:, :, None] > 0, pixels, 0.0), weights
 
@@ -210,7 +210,7 @@ def reduced_system(model, y: Unknowns, problem: Problem, point_damping, axis: st
         sums, own = jax.lax.scan(functools.partial(add, group), sums, group.over)
         kept.append(own)
     diagonal, gradient, product = _total(sums, axis)
-    product = _mirrored(product)
+    product = _mirror(product)
     free = problem.free[:, moving]
     prior = jnp.where(free, problem.prior_weight[:, moving], 0.0)
     diagonal = jnp.where(free[:, :, None] & free[:, None, :], diagonal, 0.0)
@@ -231,7 +231,7 @@ def _panels(size: int) -> list[slice]:
     return [slice(*ends) for ends in itertools.pairwise(edges)]
 
 
-def _mirrored(panels: list[Float[Array, "n k"]]) -> Float[Array, "D D"]:
+def _mirror(panels: list[Float[Array, "n k"]]) -> Float[Array, "D D"]:
     """The whole matrix of which `_panels` were computed."""
     if len(panels) == 1:
         return panels[0]
@@ -282,7 +282,7 @@ def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bo
         else:
             pull = eliminated.gradient + (eliminated.cross * step[:, :, None, None]).sum(axis=(0, 1))
             trial = group.kind.moved(values, -jnp.stack(backward_solve(eliminated.root, pull)))
-            more = [trial, *_polished(model, state, problem.loss_scale, group.at(trial))]
+            more = [trial, *_polish(model, state, problem.loss_scale, group.at(trial))]
         trials = jnp.stack([*more, values])
         costs = jax.vmap(lambda trial: _costs(model, state, problem.loss_scale, group.at(trial)))(trials)
         costs = jnp.where(jnp.isnan(costs), jnp.inf, costs)  # NaN never wins
@@ -304,7 +304,7 @@ def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bo
 LEAP = 4.0
 
 
-def _polished(model, state, loss_scale, group: _Group) -> list[Float[Array, "n B"]]:
+def _polish(model, state, loss_scale, group: _Group) -> list[Float[Array, "n B"]]:
     """Unknowns moved once more, the cameras standing: by Newton's step, and by a leap along Gauss-Newton's.
 
     A point whose views disagree creeps under Gauss-Newton with robust weights, and a few such points would set the

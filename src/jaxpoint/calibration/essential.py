@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxpoint.calibration.twoview import TwoViewGeometry, fundamental, joint_choice, undistorted
+from jaxpoint.calibration.twoview import TwoViewGeometry, fundamental, joint_choice, undistort_points
 
 FOCAL_GRID = np.geomspace(0.4, 3.5, 24)  # half diagonals
 MEAN_LOG_FOCAL, SIGMA_LOG_FOCAL = np.log(1.2), 0.6
@@ -80,7 +80,7 @@ def chain(
         focals: (C,) half diagonals.
     """
     cameras = len(focals)
-    straight, weight = undistorted(points, geometry.lenses)
+    straight, weight = undistort_points(points, geometry.lenses)
     rays = np.concatenate([straight / focals[:, None], np.ones((*straight.shape[:2], 1))], axis=-1)
     usable = kept & (weight > 0)
     poses = {pair: _pair_pose(geometry, pair, rays, usable, focals) for pair in geometry.fundamentals}
@@ -120,7 +120,7 @@ def _add(pair, pose, rays, usable, rotation, translation, done) -> bool:
     """Add the camera of the pair that is not done yet; False where no common point fixes its distance."""
     old, new = pair if pair[0] in done else pair[::-1]
     turn, shift = pose[:2] if old == pair[0] else (pose[0].T, -pose[0].T @ pose[1])
-    placed, where = _placed(rays, usable, rotation, translation, done)
+    placed, where = _place_points(rays, usable, rotation, translation, done)
     both = where & usable[:, old] & usable[:, new]
     if both.sum() < 5:
         return False
@@ -134,7 +134,7 @@ def _add(pair, pose, rays, usable, rotation, translation, done) -> bool:
     return True
 
 
-def _placed(rays, usable, rotation, translation, done) -> tuple[np.ndarray, np.ndarray]:
+def _place_points(rays, usable, rotation, translation, done) -> tuple[np.ndarray, np.ndarray]:
     """Least-squares points (N, 3) of the rays of the cameras done, and which frames two of them saw."""
     unit = rays[:, done] / np.linalg.norm(rays[:, done], axis=-1, keepdims=True)
     unit = np.einsum("cji,ncj->nci", rotation[done], unit)

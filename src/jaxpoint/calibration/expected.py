@@ -108,7 +108,7 @@ def gains(
         useful = seen.sum(axis=1) >= 2
         if useful.sum() < len(light) / 2:
             continue
-        root = learnt(rig, covariance, light[useful], seen[useful], variance_px2 * useful.sum() / added)
+        root = covariance_reduction(rig, covariance, light[useful], seen[useful], variance_px2 * useful.sum() / added)
         less = ((flat @ root) ** 2).reshape(len(places), -1).sum(axis=1)
         after = np.sqrt(np.maximum(before**2 - less, 0.0))
         cameras = tuple(np.flatnonzero(seen.mean(axis=0) > 0.5).tolist())
@@ -116,7 +116,7 @@ def gains(
     return sorted(found, key=lambda gain: gain.after)
 
 
-def learnt(
+def covariance_reduction(
     rig: CameraRig,
     covariance: Float[np.ndarray, "D D"],
     light: Float[np.ndarray, "M 3"],

@@ -13,7 +13,7 @@ import numpy as np
 from jaxpoint.calibration.bundle import LEAST_SQUARES
 from jaxpoint.calibration.factors import Factors, fit_projective
 from jaxpoint.calibration.recording import padded_cameras
-from jaxpoint.calibration.twoview import NormalisedTracks, undistorted
+from jaxpoint.calibration.twoview import NormalisedTracks, undistort_points
 from jaxpoint.compilation import jit
 
 
@@ -38,13 +38,15 @@ def factorise_tracks(
         kept: observations to use (N, C); frames with fewer than two are left out.
         rng: source of the random start.
     """
-    points, weights = undistorted(data.points, lenses)
+    points, weights = undistort_points(data.points, lenses)
     weights = np.where(_usable(kept), weights**2, 0.0)
     start = rng.normal(size=(len(lenses), 3, 4))
     start[:, 2] = [0.0, 0.0, 0.0, 1.0] + 0.1 * start[:, 2]
     places = np.zeros((len(points), 3))
     end = _solve(data, points, weights, start, np.zeros(len(lenses)), places)
-    return finished(data, np.asarray(end.cameras)[: len(lenses)], np.asarray(end.points), lenses, kept, float(end.cost))
+    return normalise_projective(
+        data, np.asarray(end.cameras)[: len(lenses)], np.asarray(end.points), lenses, kept, float(end.cost)
+    )
 
 
 def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px: float) -> Projective:
@@ -54,7 +56,7 @@ def refine(data: NormalisedTracks, start: Projective, kept: np.ndarray, loss_px:
     places = np.where(seen, start.points[:, :3], 0.0) / np.where(seen, start.points[:, 3:], 1.0)
     end = _solve(data, data.points, _usable(kept).astype(float), start.cameras, start.lenses, places, loss_px)
     found, lenses = np.asarray(end.cameras)[:cameras], np.asarray(end.lenses)[:cameras]
-    return finished(data, found, np.asarray(end.points), lenses, kept, float(end.cost))
+    return normalise_projective(data, found, np.asarray(end.points), lenses, kept, float(end.cost))
 
 
 def _usable(kept: np.ndarray) -> np.ndarray:
@@ -77,7 +79,7 @@ def _solve(data, pixels, weights, cameras, lenses, places, loss_px: float | None
 _program = jit(fit_projective)  # one for both stages, and for every loss
 
 
-def finished(data, cameras, points, lenses, kept, cost) -> Projective:
+def normalise_projective(data, cameras, points, lenses, kept, cost) -> Projective:
     """Signs such that most depths are positive, unit norms, and the errors in pixels; points (N, 3) or (N, 4)."""
     if points.shape[1] == 3:
         points = np.concatenate([points, np.ones((len(points), 1))], axis=1)

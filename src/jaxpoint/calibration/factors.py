@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.calibration.bundle import BLOCK, LEAST_SQUARES, solved
+from jaxpoint.calibration.bundle import BLOCK, LEAST_SQUARES, run_solver
 from jaxpoint.calibration.implicit import half_cost, optimum
 from jaxpoint.calibration.projective import ProjectiveModel
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
@@ -113,7 +113,7 @@ def _free(seen: Bool[Array, " C"], object_space: Bool[Array, " C"]) -> Bool[Arra
 
 @eqx.filter_custom_jvp
 def _optimum(problem: Problem, start: Unknowns) -> tuple[Unknowns, Float[Array, ""]]:
-    end = solved(SOLVER, start, problem)
+    end = run_solver(SOLVER, start, problem)
     return Unknowns(end.cameras, end.points), end.cost
 
 

@@ -46,7 +46,7 @@ class Lenses:
         return Lenses(focals, geometry.lenses, known, model, bends)
 
 
-def upgraded(
+def euclidean_upgrades(
     recording: Recording, data: NormalisedTracks, projective: Projective, kept: np.ndarray, lenses: Lenses
 ) -> list[RigState]:
     """Distinct Euclidean rigs of a projective reconstruction, the most plausible lenses first."""
@@ -106,7 +106,7 @@ def _reference_pairs(kept: np.ndarray) -> np.ndarray:
     return np.resize(pairs, (REFERENCE_PAIRS, 2))
 
 
-def chained(
+def essential_chains(
     recording: Recording, data: NormalisedTracks, geometry: TwoViewGeometry, kept: np.ndarray, lenses: Lenses
 ) -> list[RigState]:
     """The rig of a chain of essential matrices, or nothing where a camera is not reached."""

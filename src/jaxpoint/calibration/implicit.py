@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxpoint.calibration.bundle import solved
+from jaxpoint.calibration.bundle import run_solver
 from jaxpoint.calibration.schur import AbstractModel, Problem, SchurLevenbergMarquardt, Unknowns
 
 NEWTON_STEPS = 4
@@ -57,7 +57,7 @@ class _Factors(eqx.Module):
 
 @eqx.filter_custom_jvp
 def _optimum(problem: Problem, solver: SchurLevenbergMarquardt, start: Unknowns) -> tuple[Unknowns, _Factors]:
-    end = solved(solver, start, problem)
+    end = run_solver(solver, start, problem)
     return _exact(solver.model, Unknowns(end.cameras, end.points), problem)
 
 
@@ -108,7 +108,7 @@ def _exact(model: AbstractModel, y: Unknowns, problem: Problem) -> tuple[Unknown
 
 
 def _gradient(model: AbstractModel, y: Unknowns, problem: Problem) -> Unknowns:
-    return _held(jax.grad(lambda y: half_cost(model, y, problem))(y), problem)
+    return _zero_held(jax.grad(lambda y: half_cost(model, y, problem))(y), problem)
 
 
 def _square(y: Unknowns) -> Float[Array, ""]:
@@ -142,14 +142,14 @@ def _loss(model: AbstractModel, camera, constants, scale, point, pixel, weight) 
     return 0.5 * jnp.where(weight > 0, weight * scale**2 * jnp.log1p(square / scale**2), 0.0)
 
 
-def _held(y: Unknowns, problem: Problem) -> Unknowns:
+def _zero_held(y: Unknowns, problem: Problem) -> Unknowns:
     """Zero where a parameter is held or a point is not seen."""
     return Unknowns(jnp.where(problem.free, y.cameras, 0.0), jnp.where(_seen(problem)[:, None], y.points, 0.0))
 
 
 def _rest(y: Unknowns, problem: Problem) -> Unknowns:
-    """What `_held` leaves out: the Hessian is the unit matrix there."""
-    return jax.tree.map(jnp.subtract, y, _held(y, problem))
+    """What `_zero_held` leaves out: the Hessian is the unit matrix there."""
+    return jax.tree.map(jnp.subtract, y, _zero_held(y, problem))
 
 
 def _seen(problem: Problem):
@@ -195,7 +195,7 @@ def _derivatives(model: AbstractModel, y: Unknowns, problem: Problem) -> tuple[U
     sums, (by_points, cross, points) = jax.lax.scan(add, start, (y.points, problem.pixels, problem.weights))
     own, taken, by_cameras = sums
     by_cameras = by_cameras + problem.prior_weight * (y.cameras - problem.prior_mean)
-    slope = _held(Unknowns(by_cameras, by_points), problem)
+    slope = _zero_held(Unknowns(by_cameras, by_points), problem)
     return slope, _Factors(cross, points, *_eigenvalues(_own_blocks(own, problem), taken))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxpoint.calibration.factorization import Projective, factorise_tracks, refine
-from jaxpoint.calibration.hypotheses import Lenses, chained, upgraded
+from jaxpoint.calibration.hypotheses import Lenses, essential_chains, euclidean_upgrades
 from jaxpoint.calibration.outliers import FIRST_LOSS_PX, robust_cost
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.result import Stage
@@ -59,7 +59,7 @@ def starts(inputs: Inputs, method: str) -> tuple[list[Start], list[Stage]]:
     for name in wanted:
         states, more = _INITIALISERS[name](inputs)
         stages += more
-        found += [_tried(inputs, name, state) for state in states]
+        found += [_adjust_candidate(inputs, name, state) for state in states]
     found = sorted((start for start in found if np.isfinite(start.cost)), key=lambda start: start.cost)
     if not found:
         raise InsufficientDataError(
@@ -74,7 +74,7 @@ def starts(inputs: Inputs, method: str) -> tuple[list[Start], list[Stage]]:
     return found, [*stages, Stage("First solution", figures)]
 
 
-def _tried(inputs: Inputs, method: str, state: RigState) -> Start:
+def _adjust_candidate(inputs: Inputs, method: str, state: RigState) -> Start:
     """A short robust adjustment on what the pairs believe, then the cost over everything."""
     recording = inputs.recording
     state = _without_held_bends(state, inputs.freedom)
@@ -122,12 +122,12 @@ def _euclidean(inputs: Inputs, name: str, start: Projective, figures: dict) -> t
         "per_camera_mean_px": [float(refined.errors[kept[:, c], c].mean()) for c in range(kept.shape[1])],
         **figures,
     }
-    return upgraded(inputs.recording, inputs.data, refined, kept, inputs.lenses), [Stage(name, figures)]
+    return euclidean_upgrades(inputs.recording, inputs.data, refined, kept, inputs.lenses), [Stage(name, figures)]
 
 
 def _essential(inputs: Inputs) -> tuple[list[RigState], list[Stage]]:
     """Focal lengths by vote, then a chain of essential matrices."""
-    return chained(inputs.recording, inputs.data, inputs.geometry, inputs.kept, inputs.lenses), []
+    return essential_chains(inputs.recording, inputs.data, inputs.geometry, inputs.kept, inputs.lenses), []
 
 
 _INITIALISERS = {"factorisation": _factorisation, "thesis": _thesis, "essential": _essential}

@@ -166,7 +166,7 @@ def at_one_rate(courses: Courses, first: Known, second: int, most: int) -> list[
     """The best lags of a second camera that runs as fast as the common clock, best first."""
     places = np.arange(len(courses.points))
     one, middle = _on_clock(courses, first, places), float(places[-1]) * courses.step / 2.0
-    found = misfits(one, _sampled(courses, second, places.astype(float)))
+    found = misfits(one, _sample(courses, second, places.astype(float)))
     scores = found.scores()
     best = [
         Candidate(float(found.lags[i]) * courses.step, 1.0, float(scores[i]), middle)
@@ -221,7 +221,7 @@ def _at_rates(courses, first: Known, second: int, rates, places, overlap: float)
     best = []
     for rate in rates:
         whole = np.arange(0, len(courses.points) / min(rate, 1.0), every)
-        found = misfits(one, _sampled(courses, second, rate * whole), overlap)
+        found = misfits(one, _sample(courses, second, rate * whole), overlap)
         scores = found.scores() * min(1.0, rate)  # a slower camera's frames stand for several samples each
         for i in peaks(scores, found.lags, max(1, 5 // every), 3):
             # The first sample of `one` is `places[0]`, where that of the second is 0.
@@ -247,7 +247,7 @@ def _with_margins(best: list[Candidate]) -> list[Candidate]:
 
 
 def _on_clock(courses: Courses, known: Known, places) -> Float[np.ndarray, "6 M"]:
-    return _sampled(courses, known.camera, known.rate * places + known.late)
+    return _sample(courses, known.camera, known.rate * places + known.late)
 
 
 def stretches(visible: Bool[np.ndarray, " N"], steps: float) -> list[slice]:
@@ -270,7 +270,7 @@ def _richest(visible: Bool[np.ndarray, " N"], within: slice, length: int) -> sli
     return slice(start, start + length)
 
 
-def _sampled(courses: Courses, camera: int, places: Float[np.ndarray, " M"]) -> Float[np.ndarray, "6 M"]:
+def _sample(courses: Courses, camera: int, places: Float[np.ndarray, " M"]) -> Float[np.ndarray, "6 M"]:
     """Monomials of one camera's course at these places in time: on the line between two frames, else the nearest."""
     before = np.floor(places).astype(int)
     last = len(courses.points) - 1

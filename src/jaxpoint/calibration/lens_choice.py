@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
-from jaxpoint.calibration.outliers import GROWING_PX, Settled, judge, settle
+from jaxpoint.calibration.outliers import GROWING_PX, Settled, classify_observations, refine_to_convergence
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, priors, project
 from jaxpoint.calibration.result import Stage
 from jaxpoint.camera.conversion import convert
@@ -58,8 +58,8 @@ def _choose_terms(recording: Recording, solution: Solution, settings: CalibrateS
     }
     if gain.mean() <= LEAST_GAIN * before.mean() or evidence <= LEAST_EVIDENCE:
         return solution, Stage("Lens model", {"chosen": "k1, k2", **figures})
-    judged = judge(recording, settled.judged.state, GROWING_PX[-1] * recording.scale)
-    again = settle(recording, judged, rich, settings.outliers)
+    judged = classify_observations(recording, settled.judged.state, GROWING_PX[-1] * recording.scale)
+    again = refine_to_convergence(recording, judged, rich, settings.outliers)
     return Solution(again, rich), Stage("Lens model", {"chosen": "k1, k2, p1, p2, k3", **figures})
 
 

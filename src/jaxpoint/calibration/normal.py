@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
-from jaxpoint.calibration.uncertainty import FREEDOMS, camera_ways, variance_px2
+from jaxpoint.calibration.uncertainty import FREEDOMS, gauge_directions_of_cameras, variance_px2
 from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
 from jaxpoint.motion import motion
 from jaxpoint.tracks import Tracks
@@ -105,12 +105,12 @@ def normal_equations(calibration: Calibration) -> NormalEquations:
         extra = np.where(seen[..., None, None], late, 0.0)[group.rows]
         slopes = slopes._replace(by_camera=np.concatenate([slopes.by_camera, extra], axis=-1))
         shown = np.where(group.shown[..., None], weights[group.rows], 0.0)
-        part, slope = _eliminated(slopes, shown, calibration.residuals[group.rows], group.prior)
+        part, slope = _eliminate(slopes, shown, calibration.residuals[group.rows], group.prior)
         matrix, gradient = matrix + part, gradient + slope
     parameters = np.zeros((cameras, rig.camera_size))
     parameters[:, FOCAL:] = adjusted_lenses(rig)
     count = FREEDOMS if calibration.hold is None else calibration.hold.open_freedoms
-    gauge = np.pad(camera_ways(rig)[..., :count], ((0, 0), (0, EXTRA), (0, 0)))
+    gauge = np.pad(gauge_directions_of_cameras(rig)[..., :count], ((0, 0), (0, EXTRA), (0, 0)))
     mean_weight = weights[seen].mean() if seen.any() else 1.0
     variance = variance_px2(calibration) * mean_weight
     return NormalEquations(matrix, gradient, gauge.reshape(len(matrix), count), parameters, variance)
@@ -125,7 +125,7 @@ def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndar
     return -velocity[..., None] * factors[:, :, None]
 
 
-def _eliminated(
+def _eliminate(
     slopes: Slopes,
     weights: Float[np.ndarray, "B K C"],
     residuals: Float[np.ndarray, "B K C 2"],

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from jaxpoint.calibration.outliers import Settled, grow, settle
+from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState
 from jaxpoint.config import OutlierSettings
 
@@ -46,7 +46,9 @@ class Solution:
 
 def solve_with(recording: Recording, state: RigState, freedom: Freedom, settings: OutlierSettings) -> Solution:
     """The solution near a state when other parameters are free, outliers judged anew from coarse to fine."""
-    return Solution(settle(recording, grow(recording, state, freedom), freedom, settings), freedom)
+    return Solution(
+        refine_to_convergence(recording, refine_coarse_to_fine(recording, state, freedom), freedom, settings), freedom
+    )
 
 
 def better_by(one: Solution, other: Solution) -> float:

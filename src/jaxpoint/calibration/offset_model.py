@@ -36,12 +36,12 @@ class OffsetModel(AbstractModel):
     def residual(self, state, moved, point, pixel):
         """Projected minus moved, px."""
         camera, offset = state
-        return self.base.residual(camera, moved[:-1], point, _moved(pixel, offset + moved[-1]))
+        return self.base.residual(camera, moved[:-1], point, _move_pixel(pixel, offset + moved[-1]))
 
     def columns(self, state, point, pixel):
         """Those of the synchronised model; an offset takes the velocity from the residual."""
         camera, offset = state
-        residual, for_camera, for_point = self.base.columns(camera, point, _moved(pixel, offset))
+        residual, for_camera, for_point = self.base.columns(camera, point, _move_pixel(pixel, offset))
         velocity = pixel[2:4] + offset * pixel[4:6]
         for_camera = tuple((*row, -velocity[i]) for i, row in enumerate(for_camera))
         return residual, for_camera, for_point
@@ -53,5 +53,5 @@ class OffsetModel(AbstractModel):
         return jnp.concatenate([rest, offset], axis=1)
 
 
-def _moved(pixel, frames):
+def _move_pixel(pixel, frames):
     return pixel[:2] + frames * pixel[2:4] + 0.5 * frames**2 * pixel[4:6]

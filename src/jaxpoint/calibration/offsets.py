@@ -14,7 +14,14 @@ from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, from_blocks, solve, to_blocks
 from jaxpoint.calibration.offset_model import OffsetModel
-from jaxpoint.calibration.outliers import GROWING_PX, Judgement, Settled, judge, robust_sigma, settle
+from jaxpoint.calibration.outliers import (
+    GROWING_PX,
+    Judgement,
+    Settled,
+    classify_observations,
+    refine_to_convergence,
+    robust_sigma,
+)
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, project
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, reduced_system
@@ -62,10 +69,10 @@ def brought_in_step(
     while rounds < MAX_ROUNDS and not still:
         clock, recording = _at(tracks, good, offsets)
         threshold = min(threshold, GROWING_PX[min(rounds, len(GROWING_PX) - 1)] * recording.scale)
-        judged = judge(recording, state, threshold)
+        judged = classify_observations(recording, state, threshold)
         loss = 2.0 * sigma if np.isfinite(sigma) else threshold / 2.0
         weighed = freedom.at_noise(sigma) if np.isfinite(sigma) else freedom
-        state, change = _adjusted(recording, clock, judged, weighed, loss)
+        state, change = _adjust(recording, clock, judged, weighed, loss)
         offsets, before, step = offsets + change, step, np.abs(change).max()
         errors = np.linalg.norm(project(state)[0] - recording.pixels, axis=-1)
         sigma = robust_sigma(errors, judged.kept, int(freedom.free.sum()))
@@ -74,7 +81,9 @@ def brought_in_step(
         rounds += 1
         still = bool(max(step, before) < STILL)
     clock, recording = _at(tracks, good, offsets)
-    settled = settle(recording, judge(recording, state, 2.0 * threshold), freedom, settings)
+    settled = refine_to_convergence(
+        recording, classify_observations(recording, state, 2.0 * threshold), freedom, settings
+    )
     sigmas = _unit_sigmas(recording, clock, settled.judged, freedom.at_noise(settled.sigma_px))
     return InStep(settled, clock.applied(tracks), recording, offsets, sigmas, rounds, still)
 
@@ -91,7 +100,7 @@ def _good(tracks: Tracks, clock: OnClock, judged: Judgement, before: Bool[np.nda
     return np.where(clock.back(clock.visible), tracks.visible & ~clock.back(rejected), before)
 
 
-def _adjusted(
+def _adjust(
     recording: Recording, clock: OnClock, judged: Judgement, freedom: Freedom, loss_scale: float
 ) -> tuple[RigState, Float[np.ndarray, " C"]]:
     """The rig, and what is to be added to the offsets."""

@@ -35,7 +35,9 @@ class Judgement:
     errors: np.ndarray  # (N, D) px; 0 where there is no point or no pixel
 
 
-def judge(recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None) -> Judgement:
+def classify_observations(
+    recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None
+) -> Judgement:
     """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px.
 
     Points of targets stand where their poses put them, and known points start where they are known to be.
@@ -85,7 +87,7 @@ def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int, bodies: 
 def robust_cost(recording: Recording, state: RigState) -> float:
     """Cauchy cost over all visible observations, points placed anew: what hypotheses are compared by (px^2)."""
     scale = JUDGED_LOSS_PX * recording.scale
-    judged = judge(recording, state, 3.0 * scale, scale)
+    judged = classify_observations(recording, state, 3.0 * scale, scale)
     return cost_of(recording, judged, scale)
 
 
@@ -109,19 +111,21 @@ class Settled:
     rounds: int
 
 
-def grow(recording: Recording, state: RigState, freedom: Freedom) -> Judgement:
+def refine_coarse_to_fine(recording: Recording, state: RigState, freedom: Freedom) -> Judgement:
     """Adjust and judge in turn at thresholds that start rough: a rig near its end, and what to believe there."""
     scale = recording.scale
     for threshold in GROWING_PX:
-        judged = judge(recording, state, threshold * scale)
+        judged = classify_observations(recording, state, threshold * scale)
         loss = FIRST_LOSS_PX * scale
         state = adjust(
             recording, judged.state, judged.kept, freedom, loss_scale=loss, steps=GROWING_STEPS, rtol=1e-5
         ).state
-    return judge(recording, state, GROWING_PX[-1] * scale)
+    return classify_observations(recording, state, GROWING_PX[-1] * scale)
 
 
-def settle(recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings) -> Settled:
+def refine_to_convergence(
+    recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings
+) -> Settled:
     """Adjust and judge in turn at the noise level until nothing changes.
 
     While the set still changes the solves are rough; the last ones are exact. Now and then an observation at the very
@@ -139,7 +143,9 @@ def settle(recording: Recording, judged: Judgement, freedom: Freedom, settings: 
         rtol, steps = (1e-7, 100) if exact else (1e-4, ROUGH_STEPS)
         end = adjust(recording, judged.state, judged.kept, freedom.at_noise(sigma), steps=steps, rtol=rtol, **loss)
         sigma = robust_sigma(_errors(recording, end.state), judged.kept, parameters, bodies)
-        again = judge(recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma)
+        again = classify_observations(
+            recording, end.state, max(settings.sigmas * sigma, settings.floor_px), 2.0 * sigma
+        )
         changed = int((again.kept != judged.kept).sum())
         returned = again.kept.tobytes() in before
         converged = exact and end.settled and (changed == 0 or returned)

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxpoint.calibration.bundle import Adjusted, solved
+from jaxpoint.calibration.bundle import Adjusted, run_solver
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns
 from jaxpoint.compilation import jit
 
@@ -70,7 +70,7 @@ def solve_on(mesh: Mesh, solver: SchurLevenbergMarquardt, start: Unknowns, probl
 
     def part(cameras, points, pixels, weights, rest):
         own = replace(rest, pixels=pixels, weights=weights)
-        end = solved(solver, Unknowns(cameras, points), own)
+        end = run_solver(solver, Unknowns(cameras, points), own)
         return (end.cameras, end.cost, end.steps, end.settled), end.points
 
     specs = (_WHOLE, _SPREAD, _SPREAD, _SPREAD, _WHOLE)

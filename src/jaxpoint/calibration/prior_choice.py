@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 
 from jaxpoint.calibration.aspects import aspect_patterns, aspect_text
-from jaxpoint.calibration.assembly import assembled
+from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState
@@ -189,7 +189,7 @@ class PriorChoice:
                     yield self._solved(state, with_free_centers(freedom, alone, self.recording.image_sizes[:, 0]))
             if doubts.common_chance < COMMON_CHANCE:
                 yield self._solved(state, with_moved_centers(freedom, doubts.common, self.recording))
-        held = real & ~freedom.free[:, ASPECT] & ~_pinned(freedom)
+        held = real & ~freedom.free[:, ASPECT] & ~_cameras_with_known_aspect(freedom)
         doubted = doubts.any_center or doubts.aspects_chance < CHANCE
         if self.settings.lens.aspect != "auto" or not held.any():
             return
@@ -202,7 +202,7 @@ class PriorChoice:
     def _open_aspect(self, trials: list[Solution], solution: Solution) -> Iterator[Finding]:
         """That anamorphic pixels would fit as well as square ones."""
         for trial in trials:
-            new = _pinned(trial.freedom) & ~_pinned(solution.freedom)
+            new = _cameras_with_known_aspect(trial.freedom) & ~_cameras_with_known_aspect(solution.freedom)
             if new.any() and better_by(trial, solution) > -OPEN:
                 aspect = float(np.exp(-trial.freedom.prior_mean[new, ASPECT][0]))
                 yield self._undecided_aspect(
@@ -248,7 +248,9 @@ class PriorChoice:
         return self._solved(replace(state, cameras=numbers), held)
 
     def _assembled(self, solution: Solution) -> Calibration:
-        return assembled(self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs)
+        return assemble_calibration(
+            self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs
+        )
 
     def _stage(self, doubts: Doubts, trials: list[Solution], solution: Solution) -> Stage:
         names = self.tracks.names
@@ -262,7 +264,7 @@ class PriorChoice:
         )
 
 
-def _pinned(freedom: Freedom) -> Bool[np.ndarray, " D"]:
+def _cameras_with_known_aspect(freedom: Freedom) -> Bool[np.ndarray, " D"]:
     """Cameras whose aspect was found to be another than 1 already."""
     return freedom.prior_mean[:, ASPECT] != 0
 

@@ -99,7 +99,7 @@ def point_uncertainty(
     Raises:
         ValueError: shapes do not fit, or float64 would be cut to float32.
     """
-    moved = _moved(uncertainty, pixels, visible)
+    moved = _triangulate_with_derivatives(uncertainty, pixels, visible)
     by_cameras, by_pixels = moved.by_cameras, moved.by_pixels
     variance = _variance(uncertainty, sigma_px)
     size = by_cameras.shape[-1]
@@ -112,7 +112,7 @@ def point_uncertainty(
     return Points(moved.points, calibration, jnp.where(few, unknown, observation))
 
 
-def propagated(
+def propagate(
     uncertainty: Uncertainty,
     pixels: Float[AnyArray, "N C 2"],
     visible: Bool[AnyArray, "N C"],
@@ -127,7 +127,7 @@ def propagated(
     Raises:
         ValueError: shapes do not fit, or float64 would be cut to float32.
     """
-    moved = _moved(uncertainty, pixels, visible)
+    moved = _triangulate_with_derivatives(uncertainty, pixels, visible)
     jacobian = jax.jacfwd(function)(moved.points)  # (M, N, 3)
     by_cameras = jnp.einsum("mni,nid->md", jacobian, moved.by_cameras)
     by_pixels = jnp.einsum("mni,nid->mnd", jacobian, moved.by_pixels).reshape(jacobian.shape[0], -1)
@@ -146,7 +146,7 @@ def joint_uncertainty(
     sigma_px: Float[AnyArray, ""] | float | None = None,
 ) -> Estimate:
     """All 3 N coordinates of N points, the first point's x, y, z first, with their full covariance."""
-    return propagated(uncertainty, pixels, visible, jnp.ravel, sigma_px)
+    return propagate(uncertainty, pixels, visible, jnp.ravel, sigma_px)
 
 
 def length_uncertainty(
@@ -156,7 +156,7 @@ def length_uncertainty(
     sigma_px: Float[AnyArray, ""] | float | None = None,
 ) -> Estimate:
     """The distance between two triangulated points, M = 1."""
-    return propagated(uncertainty, pixels, visible, lambda ends: safe_norm(ends[1:] - ends[:1]), sigma_px)
+    return propagate(uncertainty, pixels, visible, lambda ends: safe_norm(ends[1:] - ends[:1]), sigma_px)
 
 
 class Line(eqx.Module):
@@ -181,7 +181,7 @@ def line_uncertainty(
         angles = jnp.stack([jnp.arctan2(y, x), jnp.arctan2(z, safe_norm(ray.direction[:2]))])
         return jnp.concatenate([ray.origin, ray.direction, angles])
 
-    whole = propagated(uncertainty, pixels, visible, both, sigma_px)
+    whole = propagate(uncertainty, pixels, visible, both, sigma_px)
     line, angles = (
         Estimate(whole.value[part], whole.calibration[part, part], whole.observation[part, part])
         for part in (slice(0, 6), slice(6, 8))
@@ -198,7 +198,7 @@ class _Moved(NamedTuple):
     known: Bool[Array, "*batch"]  # False with fewer than two usable views
 
 
-def _moved(uncertainty: Uncertainty, pixels, visible) -> _Moved:
+def _triangulate_with_derivatives(uncertainty: Uncertainty, pixels, visible) -> _Moved:
     """The gradient of a point's squared pixel error stays 0 while cameras and pixels move."""
     rig = uncertainty.rig
     pixels, visible = as_float(pixels), jnp.asarray(visible, bool)

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from jaxpoint.calibration.camera_checks import camera_findings
-from jaxpoint.calibration.determinacy import undetermined
+from jaxpoint.calibration.determinacy import determinacy_findings
 from jaxpoint.calibration.held_terms import held_term_findings
 from jaxpoint.calibration.known_lenses import known_lens_findings
 from jaxpoint.calibration.lens_checks import lens_findings
@@ -91,7 +91,7 @@ def assess(
     """
     settings, align = settings or CalibrateSettings(), align or AlignSettings()
     checks = tuple(_checks(calibration, settings, align))
-    normal, geometry = _normal(calibration), list(undetermined(calibration, settings))
+    normal, geometry = _normal(calibration), list(determinacy_findings(calibration, settings))
     found = [
         *_without_corollary(calibration.findings, geometry),
         *geometry,

@@ -247,7 +247,7 @@ def _point_priors(recording: Recording, state: RigState, noise_px: float) -> Poi
 
 
 @jit
-def _projected(model: CameraModel, turned, rest, points):
+def _project(model: CameraModel, turned, rest, points):
     def one(turn, own, point):
         pixel = model.residual((turn, own), jnp.zeros(model.camera_size), point, jnp.zeros(2))
         local = turn @ point + own[:3]
@@ -259,5 +259,5 @@ def _projected(model: CameraModel, turned, rest, points):
 
 def project(state: RigState) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (N, D, 2) and depths (N, D) of the points; distances where a lens sees more than what lies ahead."""
-    pixels, depth = _projected(CameraModel(state.lens), state.rotation, state.cameras[:, 3:], state.points)
+    pixels, depth = _project(CameraModel(state.lens), state.rotation, state.cameras[:, 3:], state.points)
     return np.asarray(pixels), np.asarray(depth)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.assembly import assembled
+from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.known_lenses import lens_test, refuted_lenses, unknown_again
 from jaxpoint.calibration.lens_choice import choose_lens
@@ -128,7 +128,7 @@ class Refinement:
         if self.settings.lens.known != "refine":
             return solution
         parts = self.tracks, self.recording, solution.settled, solution.freedom, self.settings, self.pairs
-        found = assembled(*parts)
+        found = assemble_calibration(*parts)
         test = lens_test(found, normal_equations(found))
         if test is None or not test.refuted.any():
             return solution

@@ -10,20 +10,20 @@ import jax
 import numpy as np
 
 from jaxpoint.calibration.aspects import with_stated_aspects
-from jaxpoint.calibration.assembly import LOST, assembled
+from jaxpoint.calibration.assembly import MIN_EXPLAINED, assemble_calibration
 from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.initial import Inputs, Start, starts
 from jaxpoint.calibration.lens_checks import with_reach
 from jaxpoint.calibration.objective import Solution, better_by
 from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
-from jaxpoint.calibration.outliers import Settled, grow, settle
+from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.recording import Recording
 from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
-from jaxpoint.calibration.twoview import TwoViewGeometry, normalised, two_view_geometry
+from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.rig import CameraRig
@@ -33,10 +33,10 @@ from jaxpoint.motion import moved_to_clock
 from jaxpoint.tracks import Tracks
 
 Progress = Callable[[str, int, int], None]
-HOPELESS = 3.0  # candidates that cost this many times more than the best are not followed up
-DOUBTFUL = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
-PROMISING = 1.005  # those that keep this many times more when grown are followed to the end,
-# and below `assembly.LOST` all of them
+MAX_CANDIDATE_COST = 3.0  # candidates that cost this many times more than the best are not followed up
+COMPARED_BELOW = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
+FOLLOWED_ABOVE = 1.005  # those that keep this many times more when grown are followed to the end,
+# and below `assembly.MIN_EXPLAINED` all of them
 
 
 def calibrate(
@@ -76,29 +76,29 @@ def calibrate(
     lens_of_choice(first_choice(settings, intrinsics))  # refuses a wrong setting before anything is computed
     with jax.enable_x64(True):
         tracks = with_stated_aspects(tracks, settings.lens)
-        return _consistent(tracks, settings, intrinsics, progress or _silent)
+        return _solve_consistently(tracks, settings, intrinsics, progress or _silent)
 
 
 def _silent(what: str, done: int, total: int) -> None:
     """No progress is shown."""
 
 
-def _consistent(tracks: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
+def _solve_consistently(tracks: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
     """Solve all cameras; those that the others contradict are left out, one after the other, and named."""
     spare = tracks.cameras > (3 if intrinsics is None else 2)
     try:
-        found = _solved(tracks, settings, intrinsics, progress)
+        found = _solve(tracks, settings, intrinsics, progress)
     except ContradictionError as error:
-        others = _without(tracks, error.camera, settings, intrinsics, progress, error) if spare else None
+        others = _solve_without(tracks, error.camera, settings, intrinsics, progress, error) if spare else None
         if others is None:
             raise
         return others
     odd = contradicted_camera(found) if spare else None
-    others = None if odd is None else _without(tracks, odd, settings, intrinsics, progress)
+    others = None if odd is None else _solve_without(tracks, odd, settings, intrinsics, progress)
     return others if others is not None and holds_without(others, found) else found
 
 
-def _without(
+def _solve_without(
     tracks: Tracks,
     camera: int,
     settings: CalibrateSettings,
@@ -110,7 +110,7 @@ def _without(
     rest = [other for other in range(tracks.cameras) if other != camera]
     fewer = None if intrinsics is None else intrinsics.select(rest)
     try:
-        others = _consistent(tracks.select_cameras(rest), settings, fewer, progress)
+        others = _solve_consistently(tracks.select_cameras(rest), settings, fewer, progress)
     except InsufficientDataError:
         return None
     frozen = error is not None and error.causes == ("frozen camera",)
@@ -120,14 +120,14 @@ def _without(
     return replace(others, findings=(why, *others.findings))
 
 
-def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
+def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: Progress) -> Calibration:
     clock = [time.perf_counter()]
     tracks, pairs = recorded, pair_table(recorded)
     check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
     rough = _rough_offsets(recorded, settings, intrinsics, progress) if settings.time_offsets else None
     if rough is not None:
         tracks, pairs = _on_one_clock(recorded, rough, known_intrinsics=intrinsics is not None)
-    recording, data = Recording.of(tracks), normalised(tracks, intrinsics)
+    recording, data = Recording.of(tracks), normalise_tracks(tracks, intrinsics)
     geometry = _pair_geometry(tracks, recording, data, settings, intrinsics, progress)
     pairs = replace(pairs, inliers=geometry.inliers)
     freedom = freedom_of(recording, settings, intrinsics)
@@ -148,7 +148,7 @@ def _solved(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: 
     progress("adjustment", 1, 1)
     clock.append(time.perf_counter())
     explained = solution.settled.judged.kept.sum() / max(inputs.kept.sum(), 1)
-    found = assembled(
+    found = assemble_calibration(
         refining.tracks, refining.recording, solution.settled, solution.freedom, settings, pairs, float(explained)
     )
     check_volume(found.points[found.point_valid])
@@ -206,21 +206,21 @@ def _best_solution(inputs: Inputs, candidates: list[Start], settings: CalibrateS
     """The solution from the best start; where much is lost or the lenses are implausible, from the others too."""
     recording, freedom = inputs.recording, inputs.freedom
     expected = inputs.kept.sum()
-    first = grow(recording, candidates[0].state, freedom)
-    best = Solution(settle(recording, first, freedom, settings.outliers), freedom)
+    first = refine_coarse_to_fine(recording, candidates[0].state, freedom)
+    best = Solution(refine_to_convergence(recording, first, freedom, settings.outliers), freedom)
     for candidate in candidates[1:]:
         share, plausible = best.settled.judged.kept.sum() / max(expected, 1), best.plausible
         sound = best.settled.converged and plausible
-        if (share >= DOUBTFUL and sound) or candidate.cost > HOPELESS * candidates[0].cost:
+        if (share >= COMPARED_BELOW and sound) or candidate.cost > MAX_CANDIDATE_COST * candidates[0].cost:
             break
-        grown = grow(recording, candidate.state, freedom)
-        if share >= LOST and sound and grown.kept.sum() <= PROMISING * first.kept.sum():
+        grown = refine_coarse_to_fine(recording, candidate.state, freedom)
+        if share >= MIN_EXPLAINED and sound and grown.kept.sum() <= FOLLOWED_ABOVE * first.kept.sum():
             continue
-        other = Solution(settle(recording, grown, freedom, settings.outliers), freedom)
+        other = Solution(refine_to_convergence(recording, grown, freedom, settings.outliers), freedom)
         best = other if better_by(other, best) > 0 else best
     if not best.settled.converged:
-        grown = grow(recording, best.settled.judged.state, freedom)
-        again = Solution(settle(recording, grown, freedom, settings.outliers), freedom)
+        grown = refine_coarse_to_fine(recording, best.settled.judged.state, freedom)
+        again = Solution(refine_to_convergence(recording, grown, freedom, settings.outliers), freedom)
         best = again if better_by(again, best) > 0 else best
     return best
 

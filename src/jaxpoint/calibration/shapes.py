@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from jaxpoint.calibration.bodies import held_rows
 from jaxpoint.calibration.eliminated import POSE, pose_values
 from jaxpoint.calibration.objective import Solution
-from jaxpoint.calibration.outliers import GROWING_PX, judge, settle
+from jaxpoint.calibration.outliers import GROWING_PX, classify_observations, refine_to_convergence
 from jaxpoint.calibration.planar_pose import planar_pose
 from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.calibration.result import Finding, Stage
@@ -47,11 +47,11 @@ def with_shapes(
     state, kept = solution.state, solution.settled.judged.kept
     findings: list[Finding] = []
     if recording.known is not None:
-        state = _anchored(recording, state, kept)
+        state = _anchor(recording, state, kept)
     figures: dict = {"known_points": int(held_rows(recording, state).sum()), "targets": {}}
     if recording.targets:
         sizes = [_sizes(owned, state, kept) for owned in recording.targets]
-        state, recording, findings = _scaled(recording, state, sizes)
+        state, recording, findings = _scale(recording, state, sizes)
         poses = tuple(_poses(recording, owned, state, kept) for owned in recording.targets)
         state = with_places(recording, replace(state, poses=poses))
         for owned, found, size in zip(recording.targets, poses, sizes):
@@ -60,12 +60,12 @@ def with_shapes(
                 "frames_with_a_pose": int(known_poses(found).sum()),
                 "size_before_over_stated": float(np.median(size)) if len(size) else None,
             }
-    judged = judge(recording, state, GROWING_PX[-1] * recording.scale)
-    settled = settle(recording, judged, solution.freedom, settings)
+    judged = classify_observations(recording, state, GROWING_PX[-1] * recording.scale)
+    settled = refine_to_convergence(recording, judged, solution.freedom, settings)
     return recording, Solution(settled, solution.freedom), [Stage("Targets and known points", figures)], findings
 
 
-def _anchored(recording: Recording, state: RigState, kept: Bool[np.ndarray, "N D"]) -> RigState:
+def _anchor(recording: Recording, state: RigState, kept: Bool[np.ndarray, "N D"]) -> RigState:
     """The state in the frame of the known points."""
     assert recording.known is not None
     assert recording.known_sigmas is not None
@@ -77,10 +77,10 @@ def _anchored(recording: Recording, state: RigState, kept: Bool[np.ndarray, "N D
             "line to hold the frame; add known points, or calibrate without them and align afterwards."
         )
     scale, rotation, translation = fit_similarity(seen, known, recording.known_sigmas[usable] ** -2.0)
-    return replace(_moved(state, scale, rotation, translation), anchored=True)
+    return replace(_move(state, scale, rotation, translation), anchored=True)
 
 
-def _moved(state: RigState, scale: float, rotation: np.ndarray, translation: np.ndarray) -> RigState:
+def _move(state: RigState, scale: float, rotation: np.ndarray, translation: np.ndarray) -> RigState:
     """The rig after x -> scale R x + t of the world."""
     state = state.rebased()
     base = state.base @ rotation.T
@@ -112,9 +112,7 @@ def _sizes(owned: TargetRows, state: RigState, kept: Bool[np.ndarray, "N D"]) ->
     return np.array(found)
 
 
-def _scaled(
-    recording: Recording, state: RigState, sizes: list[np.ndarray]
-) -> tuple[RigState, Recording, list[Finding]]:
+def _scale(recording: Recording, state: RigState, sizes: list[np.ndarray]) -> tuple[RigState, Recording, list[Finding]]:
     """The rig in metres, targets of unknown size in its unit, and what is to be said of sizes that contradict."""
     for owned, found in zip(recording.targets, sizes):
         if len(found) < LEAST_FRAMES:
@@ -127,10 +125,10 @@ def _scaled(
     factor = 1.0
     if not state.anchored and any(measured):
         factor = 1.0 / _common(ratios[measured], [len(found) for found, known in zip(sizes, measured) if known])
-    state = state if state.anchored else _moved(state, factor, np.eye(3), np.zeros(3))
+    state = state if state.anchored else _move(state, factor, np.eye(3), np.zeros(3))
     if not any(measured) and not state.anchored:
         measured = [True, *measured[1:]]  # the unit is the first target's
-        state = _moved(state, 1.0 / float(ratios[0]), np.eye(3), np.zeros(3))
+        state = _move(state, 1.0 / float(ratios[0]), np.eye(3), np.zeros(3))
         factor = 1.0 / float(ratios[0])
     targets = tuple(
         owned if known else owned.scaled(float(factor * ratio))

@@ -107,7 +107,7 @@ def focal_grid(views: Views, first, second) -> Float[Array, "K 4 3"]:
 
     Depths must be positive beforehand: the sign of P matters. Returns the K = 3 best of GRID^2, unlike each other.
     """
-    back = _completed(views.projections[first])
+    back = _complete(views.projections[first])
     relative = views.projections[second] @ back
     grid = jnp.geomspace(*FOCALS, GRID)
     focals = jnp.stack(jnp.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -123,7 +123,7 @@ def focal_grid(views: Views, first, second) -> Float[Array, "K 4 3"]:
     return jnp.stack(chosen)
 
 
-def _completed(projection: Float[Array, "3 4"]) -> Float[Array, "4 4"]:
+def _complete(projection: Float[Array, "3 4"]) -> Float[Array, "4 4"]:
     """H with P H = [I | 0]."""
     inverse = projection.T @ jnp.linalg.inv(projection @ projection.T)
     return jnp.concatenate([inverse, null_vector(projection)[:, None]], axis=1)

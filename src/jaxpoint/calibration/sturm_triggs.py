@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxpoint.calibration.factorization import Projective, finished
+from jaxpoint.calibration.factorization import Projective, normalise_projective
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry, fundamental
 from jaxpoint.epipolar import lift
 from jaxpoint.geometry.arrays import AnyArray
@@ -130,7 +130,7 @@ def thesis_factorisation(
     rays = np.asarray(lift(jnp.asarray(data.points), jnp.asarray(geometry.lenses)))
     tuples = _quadruples(known, rng)
     motion, points = fill_rank_four(jnp.asarray(scale[..., None] * rays), jnp.asarray(known), jnp.asarray(tuples))
-    return finished(data, np.asarray(motion), np.asarray(points), geometry.lenses, kept, 0.0)
+    return normalise_projective(data, np.asarray(motion), np.asarray(points), geometry.lenses, kept, 0.0)
 
 
 def _quadruples(known: np.ndarray, rng: np.random.Generator) -> np.ndarray:

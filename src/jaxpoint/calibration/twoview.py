@@ -43,7 +43,7 @@ class TwoViewGeometry:
     votes: np.ndarray  # (N, C) fraction of an observation's pairs in which it is an inlier; 1 where it has none
 
 
-def normalised(tracks: Tracks, intrinsics: CameraRig | None = None) -> NormalisedTracks:
+def normalise_tracks(tracks: Tracks, intrinsics: CameraRig | None = None) -> NormalisedTracks:
     """Tracks as the projective stages want them; with known intrinsics already undistorted, of square pixels."""
     half = np.hypot(*tracks.image_sizes.T.astype(float)) / 2.0
     aspects = np.ones(tracks.cameras) if tracks.pixel_aspects is None else tracks.pixel_aspects
@@ -190,7 +190,7 @@ def _with_lenses(data, pairs, lenses, settings, rng, progress, total) -> TwoView
     return TwoViewGeometry(lenses, fundamentals, shared, inliers, votes)
 
 
-def undistorted(points: np.ndarray, lenses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def undistort_points(points: np.ndarray, lenses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Undistorted points (N, C, 2), and how much one distorted unit is worth there (N, C), at most 1.
 
     Points beyond the reach of the division model get a weight of 0.

@@ -167,7 +167,7 @@ def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | 
     rig = calibration.rig
     weighed = freedom.at_noise(calibration.sigma_px)
     anchoring = _inner(calibration) if anchors is None else _outer(calibration, anchors)
-    found = _adjusted(calibration, weighed, anchoring, variance_px2(calibration))
+    found = _adjusted_covariances(calibration, weighed, anchoring, variance_px2(calibration))
     if not np.isfinite(found.cameras).all():
         raise InsufficientDataError(
             "The observations (or the anchors of the frame) do not determine the rig: its covariance is not finite. "
@@ -255,7 +255,7 @@ class _Eliminated(NamedTuple):
     cameras: Float[np.ndarray, "C p p"]  # sum of J_c^T J_c
 
 
-def _eliminated(slopes: Slopes, free: Bool[np.ndarray, "C p"], prior: Float[np.ndarray, " B"]) -> _Eliminated:
+def _eliminate(slopes: Slopes, free: Bool[np.ndarray, "C p"], prior: Float[np.ndarray, " B"]) -> _Eliminated:
     """Some unknowns, and what the cameras that see them say."""
     slopes = slopes._replace(by_camera=np.where(free[:, None, :], slopes.by_camera, 0.0))
     own, cross = slopes.own(prior), slopes.cross
@@ -281,7 +281,7 @@ def _anchor_sums(
     variance: float,
 ) -> _Gauge:
     """The share of some points in u; `variance` (px^2) is that of the pixels from which they come."""
-    directions = point_ways(points.reshape(-1, 3)).reshape(*points.shape, FREEDOMS)
+    directions = gauge_directions_of_points(points.reshape(-1, 3)).reshape(*points.shape, FREEDOMS)
     pull = _pull(tangent, directions, weights)
     turned = np.swapaxes(pull, 1, 2)
     return _Gauge(
@@ -296,14 +296,14 @@ def _pull(tangent, directions, weights) -> Float[np.ndarray, "B d 7"]:
     return np.einsum("bk,bkid,bkif->bdf", weights, tangent, directions, optimize=True)
 
 
-def point_ways(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
+def gauge_directions_of_points(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
     """How the seven freedoms of a similarity move points: translation, rotation vector, log scale."""
     ways = np.zeros((len(points), 3, FREEDOMS))
     ways[:, :, :3], ways[:, :, 3:6], ways[:, :, 6] = np.eye(3), -_skews(points), points
     return ways
 
 
-def camera_ways(rig: CameraRig) -> Float[np.ndarray, "C p 7"]:
+def gauge_directions_of_cameras(rig: CameraRig) -> Float[np.ndarray, "C p 7"]:
     """How they move the cameras' parameters so that no pixel changes: w = -R phi, dt = t scale - R shift."""
     rotation, translation = poses(rig)
     ways = np.zeros((len(rig), rig.camera_size, FREEDOMS))
@@ -322,14 +322,16 @@ def _skews(vectors: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 3"]:
     return -np.cross(vectors[:, None, :], np.eye(3)[None])
 
 
-def _adjusted(calibration: Calibration, freedom: Freedom, anchoring: Anchoring, variance: float) -> Adjusted:
+def _adjusted_covariances(
+    calibration: Calibration, freedom: Freedom, anchoring: Anchoring, variance: float
+) -> Adjusted:
     """Two passes over the points: one for the cameras and the frame, one for the points' own covariances."""
     rig, free, points = calibration.rig, freedom.free, calibration.points
     seen = calibration.kept & calibration.point_valid[:, None]
     nothing = np.full((free.size, free.size), np.nan), np.full((len(points), 3, 3), np.nan)
     own_blocks, taken, gauge = _sums(calibration, freedom, seen, anchoring, variance)
     frame = _Frame(calibration.hold)
-    every = camera_ways(rig).reshape(-1, FREEDOMS)
+    every = gauge_directions_of_cameras(rig).reshape(-1, FREEDOMS)
     directions = every[:, frame.open]
     try:
         loose = variance * _any_frame(own_blocks, taken, freedom, directions)
@@ -342,20 +344,20 @@ def _adjusted(calibration: Calibration, freedom: Freedom, anchoring: Anchoring, 
     scaling = hold @ gauge.normal[frame.open, -1]  # what a change of scale does to the frame
     found = np.zeros((len(points), 3, 3))
     for group in row_groups(calibration):
-        parts = _eliminated(slopes_of(calibration, group, seen), free, group.prior)
+        parts = _eliminate(slopes_of(calibration, group, seen), free, group.prior)
         rows, tangent = group.rows, group.tangent
         moved = tangent @ parts.moved[:, None]  # (B, K, 3, D)
-        by_frame = point_ways(points[rows].reshape(-1, 3)).reshape(*rows.shape, 3, FREEDOMS)
+        by_frame = gauge_directions_of_points(points[rows].reshape(-1, 3)).reshape(*rows.shape, 3, FREEDOMS)
         pull = _pull(tangent, by_frame, np.where(group.shown, anchoring.light[rows], 0.0))
         inner = variance * (tangent @ parts.own[:, None])  # (B, K, 3, d)
         spread = (moved.reshape(-1, len(loose)) @ loose).reshape(moved.shape)
         link = moved @ with_u + (inner @ pull[:, None])[..., frame.open]
         plain = spread @ np.swapaxes(moved, -1, -2) + inner @ np.swapaxes(tangent, -1, -2)
-        held = _held(plain, link, by_frame[..., frame.open], hold, back)
+        held = _hold_frame(plain, link, by_frame[..., frame.open], hold, back)
         held += frame.scale_variance * _squares(by_frame[..., -1] - by_frame[..., frame.open] @ scaling)
         found[rows[group.shown]] = held[group.shown]
     found = np.where(calibration.point_valid[:, None, None], found, 0.0)
-    cameras = _held(loose, with_u, directions, hold, back)
+    cameras = _hold_frame(loose, with_u, directions, hold, back)
     # A held parameter does not move with the scale; the translations, which do, are never held.
     cameras += frame.scale_variance * _squares(every[:, -1] - directions @ scaling)
     return Adjusted(cameras, found)
@@ -375,7 +377,7 @@ def _squares(vectors: Float[np.ndarray, "*rest n"]) -> Float[np.ndarray, "*rest 
     return vectors[..., :, None] * vectors[..., None, :]
 
 
-def _held(plain, link, ways, hold, back):
+def _hold_frame(plain, link, ways, hold, back):
     """Covariance of d - G K u from those of d, of d with u, and K Cov(u) K."""
     turned = np.swapaxes(ways, -1, -2)
     mixed = (link @ hold) @ turned
@@ -391,12 +393,12 @@ def _sums(
     gauge = _centre_sums(rig, free, anchoring)
     if len(anchoring.clicked):
         by_camera, by_point = derivatives(rig, anchoring.places, anchoring.visible)
-        parts = _eliminated(Slopes(by_camera[:, None], by_point[:, None]), free, np.zeros(len(by_point)))
+        parts = _eliminate(Slopes(by_camera[:, None], by_point[:, None]), free, np.zeros(len(by_point)))
         single = np.broadcast_to(np.eye(3), (len(by_point), 1, 3, 3))
         places, weights = anchoring.places[:, None], anchoring.clicked[:, None]
         gauge += _anchor_sums(parts, single, places, weights, anchoring.click_variance)
     for group in row_groups(calibration):
-        parts = _eliminated(slopes_of(calibration, group, seen), free, group.prior)
+        parts = _eliminate(slopes_of(calibration, group, seen), free, group.prior)
         own_blocks += parts.cameras
         taken += parts.cross.reshape(-1, free.size).T @ parts.moved.reshape(-1, free.size)
         weights = np.where(group.shown, anchoring.light[group.rows], 0.0)
@@ -407,7 +409,7 @@ def _sums(
 def _centre_sums(rig: CameraRig, free: Bool[np.ndarray, "C p"], anchoring: Anchoring) -> _Gauge:
     """The share of the camera centres in u; their error is the cameras' alone."""
     weights = anchoring.centres[:, None, None]
-    ways = point_ways(centres(rig))
+    ways = gauge_directions_of_points(centres(rig))
     turned = weights * np.swapaxes(ways, 1, 2)
     of_cameras = np.where(free[:, None, :], turned @ centres_by_parameters(rig), 0.0)
     normal = (turned @ ways).sum(axis=0)

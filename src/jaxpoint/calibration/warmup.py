@@ -61,4 +61,4 @@ def _adjustment(recording: Recording, data: NormalisedTracks, choice: str) -> No
     state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)), lens)
     usual = Freedom.of(recording, LensSettings(), choice)  # of a large rig, what is free is part of the program
     adjust(recording, state, np.zeros(recording.visible.shape, bool), usual, loss_scale=1.0, steps=1)
-    outliers.judge(recording, state, 1.0)
+    outliers.classify_observations(recording, state, 1.0)

@@ -43,14 +43,14 @@ class Align(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """Align, and write a new run beside the old one."""
-        from jaxpoint.commands.written import written
+        from jaxpoint.commands.run_outcome import write_outcome
         from jaxpoint.runs import read_run
 
         out = self.needed_folder("runs/room-m")
         run = read_run(self.run_folder)
         given = (self.settings.landmarks, self.settings.landmark_pixels, self.settings.camera_centres)
-        return written(
-            aligned(run.calibration, self.settings),
+        return write_outcome(
+            align(run.calibration, self.settings),
             out,
             replace(run.config, align=self.settings),
             sources=[run.folder / "calibration.json", *(path for path in given if path is not None)],
@@ -59,7 +59,7 @@ class Align(SeededOptions):
         )
 
 
-def aligned(calibration: Calibration, settings: AlignSettings) -> Calibration:
+def align(calibration: Calibration, settings: AlignSettings) -> Calibration:
     """The calibration in the room, aligned as the settings ask, with its covariance there.
 
     Raises:
@@ -79,7 +79,7 @@ def aligned(calibration: Calibration, settings: AlignSettings) -> Calibration:
     clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, names)
     way = _by_landmarks if settings.landmarks else _by_centres if settings.camera_centres else _by_floor
     found, known = way(calibration, settings, clicks)
-    wide = check_size(_placed(found, _cameras(calibration)[0]), known.points, settings.max_extent_m)
+    wide = check_size(_points_in_room(found, _cameras(calibration)[0]), known.points, settings.max_extent_m)
     found = replace(found, warnings=(*found.warnings, *wide))
     return aligned_with_covariance(calibration, found, known.sigmas, clicks, CLICK_SIGMA_PX)
 
@@ -137,7 +137,7 @@ def _by_floor(
         raise UsageError("--floor needs the distance between its first two points: --length-m METRES.")
     points, warnings = locate(calibration, settings.floor, clicks)
     found = align_to_floor(points, _cameras(calibration)[0], settings.length_m, names=settings.floor)
-    known = Landmarks(settings.floor, _placed(found, points))
+    known = Landmarks(settings.floor, _points_in_room(found, points))
     return replace(found, warnings=(*found.warnings, *warnings)), known
 
 
@@ -151,7 +151,7 @@ def _cameras(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
         return np.asarray(rig.positions), np.asarray(rig.cameras.cam_from_world.rotation)
 
 
-def _placed(alignment: Alignment, points: np.ndarray) -> np.ndarray:
+def _points_in_room(alignment: Alignment, points: np.ndarray) -> np.ndarray:
     """Points of the calibration's frame in the room, m."""
     import jax
     import numpy as np

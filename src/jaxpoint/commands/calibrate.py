@@ -42,7 +42,7 @@ class Calibrate(Options):
         """Solve, write the run, and judge it."""
         from jaxpoint.calibration.covariance import with_covariance
         from jaxpoint.calibration.selfcal import calibrate
-        from jaxpoint.commands.written import written
+        from jaxpoint.commands.run_outcome import write_outcome
 
         out = self.needed_folder("runs/room")
         check_lens(self.settings.lens, self.input.intrinsics)
@@ -54,7 +54,7 @@ class Calibrate(Options):
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
         given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config)
         sources = [path for path in given if path is not None]
-        return written(
+        return write_outcome(
             with_covariance(solved),
             out,
             room,

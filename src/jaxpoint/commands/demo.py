@@ -154,7 +154,7 @@ class Demo(SeededOptions):
     def _calibrated(self, session: Path, progress: Progress) -> Calibration:
         """The cameras in the room, from the waved light and the places measured by tape."""
         from jaxpoint.calibration.selfcal import calibrate
-        from jaxpoint.commands.align import aligned
+        from jaxpoint.commands.align import align
         from jaxpoint.config import AlignSettings
         from jaxpoint.detection.light.led import detect_led
         from jaxpoint.io.files import natural_key
@@ -165,7 +165,7 @@ class Demo(SeededOptions):
         lights = replace(self.room.detect.led, workers=self.workers)
         detection = detect_led([waved[name] for name in names], lights, progress, names)
         solved = calibrate(detection.tracks, replace(self.room.calibrate, seed=self.seed), progress=progress)
-        return aligned(solved, AlignSettings(camera_centres=session / "camera_centres.csv"))
+        return align(solved, AlignSettings(camera_centres=session / "camera_centres.csv"))
 
 
 @contextmanager

@@ -110,9 +110,9 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
                 f"Camera '{name}' has images of {size[0]} x {size[1]} px in '{first}', of {again[0]} x {again[1]} px "
                 f"in '{second}'; only calibrations of one mode of a camera can be compared."
             )
-    missing = _uncompared(first, one, second, other, align)
+    missing = _why_not_compared(first, one, second, other, align)
     covariances = None if missing else (_of(one, names), _of(other, names))
-    light = _light(first)
+    light = _points_of_light(first)
     found = difference(here, there, sampled_places(here) if light is None else light, covariances, align)
     if light is None:
         notes.append(
@@ -122,7 +122,9 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         notes.append(f"No comparison with the uncertainties is possible: {missing}")
     if set(one.provenance.get("inputs", {}).values()) & set(other.provenance.get("inputs", {}).values()):
         notes.append("Both come from the same input, so their errors are alike: expect less than is allowed.")
-    notes += [f"'{path}' was marked when it was made: {why}" for path in (first, second) if (why := _marked(path))]
+    notes += [
+        f"'{path}' was marked when it was made: {why}" for path in (first, second) if (why := _why_not_passed(path))
+    ]
     if one.unit != "m":
         notes.append(f"Lengths are in thousandths of the unit of '{first}'; align it to have mm.")
     return Compared(found, "mm" if one.unit == "m" else "thousandths", tuple(notes))
@@ -141,7 +143,7 @@ def _failure(compared: Compared, first: Path, second: Path) -> QualityError | No
     )
 
 
-def _uncompared(first: Path, one: SavedCalibration, second: Path, other: SavedCalibration, align: bool) -> str:
+def _why_not_compared(first: Path, one: SavedCalibration, second: Path, other: SavedCalibration, align: bool) -> str:
     """Why differences cannot be held against uncertainties, or nothing."""
     for path, saved in ((first, one), (second, other)):
         if saved.covariance is None:
@@ -161,7 +163,7 @@ def _without_covariance(path: Path) -> str:
     return f"'{path}' holds no covariance; give the folder of a run of `calibrate` or `align`."
 
 
-def _marked(path: Path) -> str | None:
+def _why_not_passed(path: Path) -> str | None:
     """Why a run did not pass, if it is one and did not."""
     from jaxpoint.runs import read_json
 
@@ -181,7 +183,7 @@ def _of(saved: SavedCalibration, names: list[str]) -> np.ndarray:
     return blocks[np.ix_(chosen, range(blocks.shape[1]), chosen, range(blocks.shape[1]))].reshape(size, size)
 
 
-def _light(path: Path) -> np.ndarray | None:
+def _points_of_light(path: Path) -> np.ndarray | None:
     """Places of the light of a run, evenly few; None of a file."""
     import numpy as np
 

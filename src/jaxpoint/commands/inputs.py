@@ -72,7 +72,7 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
         return None
     if path.is_dir() and any(path.glob("*.rad")):
         return read_rad_folder(path, tracks.image_sizes, tracks.names, settings.one_based)
-    return _fitted(path, _in_order(path, read_lenses(path), tracks, settings.intrinsics_by_order), tracks)
+    return _lenses_at_size(path, _in_order(path, read_lenses(path), tracks, settings.intrinsics_by_order), tracks)
 
 
 def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> CameraRig:
@@ -91,9 +91,9 @@ def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> Cam
     return CameraRig(chosen.cameras, chosen.image_sizes, tracks.names, chosen.reach)
 
 
-def _fitted(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:
+def _lenses_at_size(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:
     """The lenses at the size of the tracks' images."""
-    from jaxpoint.io.lenses import scaled
+    from jaxpoint.io.lenses import scale_lenses
 
     known, wanted = rig.image_sizes.tolist(), tracks.image_sizes.tolist()
     if known == wanted:
@@ -106,7 +106,7 @@ def _fitted(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:
             )
     by = sorted({f"{wide / width:.3g}" for (width, _), (wide, _) in zip(known, wanted)})
     logger.warning("The lenses of '%s' are for images of another size and were scaled by %s.", path, " and ".join(by))
-    return scaled(rig, tracks.image_sizes)
+    return scale_lenses(rig, tracks.image_sizes)
 
 
 def check_lens(lens: LensSettings, intrinsics: Path | None) -> None:

@@ -80,7 +80,7 @@ class ObjectsAdd(Options):
         shape = _known_shape(self.shape)
         sigma, source = None, "measured"
         if self.views is not None:
-            points, sigma, count = _clicked(self.views, _points_of(shape), self.calibration, self.unit)
+            points, sigma, count = _triangulate_clicks(self.views, _points_of(shape), self.calibration, self.unit)
             source = f"clicked in {count} views; one standard deviation of a corner is {1000 * sigma:.1f} mm"
             values = [points]
         elif self.corners:
@@ -187,7 +187,9 @@ def _origin(shape: AbstractShape, source: str) -> str:
     return f"{shape.fields[0].name} {source}, {1000 * shape.residual:.1f} mm off their plane"
 
 
-def _clicked(views: Path, field: Field, calibration: Path | None, unit: str | None) -> tuple[np.ndarray, float, int]:
+def _triangulate_clicks(
+    views: Path, field: Field, calibration: Path | None, unit: str | None
+) -> tuple[np.ndarray, float, int]:
     """Points (m), the largest standard deviation of one in any direction (m), and how many cameras took part."""
     import numpy as np
 

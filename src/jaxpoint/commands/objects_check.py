@@ -72,7 +72,7 @@ class ObjectsCheck(Options):
         ]
         unknown = ("The room's size is not known: give --room-low and --room-high to see what lies outside.",)
         lines = table(("name", "size m", "off its plane mm", "bottom m"), rows)
-        summary = f"{_counted(len(found), 'object')}, {_counted(len(notes), 'warning')}"
+        summary = f"{_count(len(found), 'object')}, {_count(len(notes), 'warning')}"
         return Outcome(figures, (*lines, *notes, *(unknown if room is None else ()), summary))
 
 
@@ -80,5 +80,5 @@ def _below(low: tuple[float, ...], high: tuple[float, ...]) -> bool:
     return all(a < b for a, b in zip(low, high))
 
 
-def _counted(count: int, what: str) -> str:
+def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"

@@ -1,6 +1,6 @@
 """Settings of every command, and how they are read."""
 
-from jaxpoint.config.loading import checked, load_settings, to_toml
+from jaxpoint.config.loading import check_settings, load_settings, to_toml
 from jaxpoint.config.room import (
     AlignSettings,
     CalibrateSettings,
@@ -33,7 +33,7 @@ __all__ = [
     "RuntimeSettings",
     "Unit",
     "ValidateSettings",
-    "checked",
+    "check_settings",
     "load_config",
     "load_settings",
     "to_toml",

@@ -37,18 +37,18 @@ def load_settings(path: Path, kind: type[Settings]) -> Settings:
         hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}."
         raise UsageError(f"'{path}' has the unknown key '{key}'; {hint}")
     try:
-        return _converted(raw, kind, path.parent)
+        return _convert(raw, kind, path.parent)
     except UsageError as error:
         raise UsageError(f"In '{path}': {error}") from None
 
 
-def checked(settings: Settings) -> Settings:
+def check_settings(settings: Settings) -> Settings:
     """The settings, once every value of them has been held against its type and range.
 
     Raises:
         UsageError: a value is out of range; the message names it by its path.
     """
-    return _converted(_plain(settings), type(settings), Path())
+    return _convert(_plain(settings), type(settings), Path())
 
 
 def to_toml(settings: Any) -> str:
@@ -56,14 +56,14 @@ def to_toml(settings: Any) -> str:
     return tomli_w.dumps(_plain(settings, lambda path: str(path.absolute())))
 
 
-def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
+def _convert(raw: dict, kind: type[Settings], folder: Path) -> Settings:
     def as_path(_: type, value: Any) -> Path:
         if not isinstance(value, str):
             raise ValueError("expected a path in quotes")
         return folder / value
 
     for key, number in not_finite(raw):
-        raise _refused(key, "expected a finite number", number)
+        raise _setting_error(key, "expected a finite number", number)
     try:
         return msgspec.convert(raw, kind, dec_hook=as_path)
     except msgspec.ValidationError as error:
@@ -71,10 +71,10 @@ def _converted(raw: dict, kind: type[Settings], folder: Path) -> Settings:
         keys = place.rstrip("`").split(".")
         names = (key.partition("[")[0] for key in keys)  # of an item of a list the whole list is shown
         given = reduce(lambda table, name: table.get(name) if isinstance(table, dict) else None, names, raw)
-        raise _refused(".".join(keys), reason, given) from None
+        raise _setting_error(".".join(keys), reason, given) from None
 
 
-def _refused(key: str, reason: str, given: Any) -> UsageError:
+def _setting_error(key: str, reason: str, given: Any) -> UsageError:
     """The error of one setting; what was given is shown where it is a value."""
     shown = "" if given is None or isinstance(given, dict) else f" (given: {given!r})"
     return UsageError(f"The setting '{key.removeprefix('settings.')}' cannot be used: {reason}{shown}.")

@@ -21,13 +21,15 @@ def azimuth_elevation(directions: Float[AnyArray, "*batch 3"]) -> Float[Array, "
     return stack_last(azimuth, jnp.arctan2(z, level))
 
 
-def wrapped(angles: Float[AnyArray, "*batch"]) -> Float[Array, "*batch"]:
+def wrap_angle(angles: Float[AnyArray, "*batch"]) -> Float[Array, "*batch"]:
     """Angles brought into -pi..pi, rad."""
     angles = as_float(angles)
     return jnp.arctan2(jnp.sin(angles), jnp.cos(angles))
 
 
-def turned(directions: Float[AnyArray, "*batch 3"], turn: Float[AnyArray, "*batch 2"]) -> Float[Array, "*batch 3"]:
+def turn_directions(
+    directions: Float[AnyArray, "*batch 3"], turn: Float[AnyArray, "*batch 2"]
+) -> Float[Array, "*batch 3"]:
     """Directions rotated to the left and up.
 
     The elevation turns about the horizontal axis across the direction, the azimuth about the vertical; lengths stay.

@@ -26,14 +26,14 @@ class Ray(eqx.Module):
     def through(start: Float[AnyArray, "*batch 3"], target: Float[AnyArray, "*batch 3"]) -> Ray:
         """The ray from `start` through `target`; its direction is zero where the two coincide."""
         start = as_float(start)
-        return Ray(start, normalised(as_float(target) - start))
+        return Ray(start, normalise(as_float(target) - start))
 
     def at(self, distance: Float[AnyArray, "*batch"] | float) -> Float[Array, "*batch 3"]:
         """The point at a distance (m) from the origin; negative is behind it."""
         return self.origin + as_float(distance)[..., None] * self.direction
 
 
-def normalised(vectors: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def normalise(vectors: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch 3"]:
     """Vectors scaled to length 1; a zero vector stays zero."""
     vectors = as_float(vectors)
     length = safe_norm(vectors)[..., None]

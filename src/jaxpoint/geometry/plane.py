@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.geometry.linalg import null_vector
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray, normalise
 
 
 class Plane(eqx.Module):
@@ -23,7 +23,7 @@ class Plane(eqx.Module):
     def through(points: Float[AnyArray, "3 3"]) -> Plane:
         """The plane of three points, its normal by the right hand; zero where they are collinear."""
         a, b, c = as_float(points)
-        normal = normalised(jnp.cross(b - a, c - a))
+        normal = normalise(jnp.cross(b - a, c - a))
         return Plane(normal, normal @ a)
 
     def distance(self, points: Float[AnyArray, "*batch 3"]) -> Float[Array, "*batch"]:
@@ -73,7 +73,7 @@ class Rect(eqx.Module):
     @property
     def plane(self) -> Plane:
         """Its plane; the normal points to the viewer who sees left-top at the left and top."""
-        normal = normalised(jnp.cross(self.down, self.right))
+        normal = normalise(jnp.cross(self.down, self.right))
         return Plane(normal, normal @ self.corner)
 
 

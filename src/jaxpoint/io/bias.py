@@ -154,7 +154,7 @@ def write_bias(path: StrPath, bias: Bias) -> None:
         "lines": list(bias.lines),
         "model": _model(bias.model),
         "spread": _spread(bias.spread),
-        "between": {"covariance_deg2": _rounded(bias.between * _DEG2)},
+        "between": {"covariance_deg2": _round(bias.between * _DEG2)},
         "within": _spread(bias.within),
         "fitted": {
             key: round(value, 6) if isinstance(value, float) else value
@@ -176,7 +176,7 @@ def _model(model: AbstractBiasModel) -> dict[str, Any]:
             azimuth, elevation = _degrees(model.coefficients)
             return {"kind": "polynomial", "azimuth_deg": azimuth, "elevation_deg": elevation}
         case Blend():
-            azimuth, elevation = _rounded(np.where(model.used[None], model.weights, 0.0))
+            azimuth, elevation = _round(np.where(model.used[None], model.weights, 0.0))
             weights = {"azimuth_weights": azimuth, "elevation_weights": elevation}
             return {"kind": "blend"} | _offset(model.offset) | weights
         case Personal():
@@ -190,14 +190,14 @@ def _offset(offset: Any) -> dict[str, float]:
 
 
 def _spread(spread: Spread) -> dict[str, Any]:
-    return {"scale_deg2": _rounded(spread.scale * _DEG2), "freedom": int(spread.freedom)}
+    return {"scale_deg2": _round(spread.scale * _DEG2), "freedom": int(spread.freedom)}
 
 
 def _degrees(radians: Any) -> Any:
-    return _rounded(np.rad2deg(np.asarray(radians)))
+    return _round(np.rad2deg(np.asarray(radians)))
 
 
-def _rounded(values: Any) -> Any:
+def _round(values: Any) -> Any:
     return np.asarray(values).round(6).tolist()
 
 

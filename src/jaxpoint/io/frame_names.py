@@ -202,7 +202,7 @@ def _date_times(stems: Sequence[str]) -> Found:
         return int(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp())
 
     joined = _with_fraction(stems, _DATE, seconds, _JOINED)
-    return joined or _with_fraction(stems, _DATE, seconds) or _matched(stems, _DATE + _END, seconds)
+    return joined or _with_fraction(stems, _DATE, seconds) or _match_all(stems, _DATE + _END, seconds)
 
 
 def _days(stems: Sequence[str]) -> Found:
@@ -227,9 +227,9 @@ def _with_fraction(
     stems: Sequence[str], pattern: str, seconds: Callable[[Sequence[str]], int], fraction: str = _FRACTION
 ) -> Found:
     """Seconds and their parts; None where the last number goes on over the seconds, as a counter does."""
-    whole = _matched(stems, pattern + fraction, lambda groups: seconds(groups[:-1]))
-    parts = _matched(stems, pattern + fraction, lambda groups: int(groups[-1]))
-    digits = _matched(stems, pattern + fraction, lambda groups: len(groups[-1]))
+    whole = _match_all(stems, pattern + fraction, lambda groups: seconds(groups[:-1]))
+    parts = _match_all(stems, pattern + fraction, lambda groups: int(groups[-1]))
+    digits = _match_all(stems, pattern + fraction, lambda groups: len(groups[-1]))
     if whole is None or parts is None or digits is None or len(set(digits[0].values)) != 1:
         return None
     if fraction != _JOINED and _rises(parts[0].values):
@@ -239,7 +239,7 @@ def _with_fraction(
     return replace(whole[0], values=values, second=scale), whole[1]
 
 
-def _matched(stems: Sequence[str], pattern: str, read: Callable[[Sequence[str]], int]) -> Found:
+def _match_all(stems: Sequence[str], pattern: str, read: Callable[[Sequence[str]], int]) -> Found:
     """What a pattern says in every name, None where one of them does not have it."""
     found = [re.search(pattern, stem) for stem in stems]
     first = found[0]

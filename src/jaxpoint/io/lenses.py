@@ -156,7 +156,7 @@ def camera_key(name: str) -> str:
     return match[1] if match else name
 
 
-def scaled(rig: CameraRig, sizes: np.ndarray) -> CameraRig:
+def scale_lenses(rig: CameraRig, sizes: np.ndarray) -> CameraRig:
     """The lenses for images of other sizes (C, 2) of the same shape; pixel (0, 0) is the centre of the first one."""
     by = np.asarray(sizes, float) / np.asarray(rig.image_sizes, float)
     with jax.enable_x64(True):

@@ -48,14 +48,14 @@ def _lies_turned(capture: cv2.VideoCapture) -> bool:
 def _read(path: Path, _modified: int, _size: int) -> Stamps:
     """From the packets; where these do not rise, from the decoded frames."""
     for raw in (True, False):
-        found = np.array(sorted(_grabbed(path, raw)) if raw else list(_grabbed(path, raw))).reshape(-1, 2)
+        found = np.array(sorted(_grab(path, raw)) if raw else list(_grab(path, raw))).reshape(-1, 2)
         times = found[:, 0] * MS
         if len(times) and np.isfinite(times).all() and (np.diff(times) > 0).all():
             return Stamps(times - times[0], int(found[0, 1]), int(found[-1, 1]))
     return Stamps(None, 0, len(found) - 1)
 
 
-def _grabbed(path: Path, raw: bool) -> Iterator[tuple[float, float]]:
+def _grab(path: Path, raw: bool) -> Iterator[tuple[float, float]]:
     """Stamp (ms) and place of every packet (in the order of the file) or of every decoded frame."""
     capture = cv2.VideoCapture(str(path))
     try:

@@ -14,7 +14,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxpoint.geometry.angles import turned
+from jaxpoint.geometry.angles import turn_directions
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.line_hypotheses import LineHypothesis, People
 from jaxpoint.pointing.pointing_line import PointingLine
@@ -60,7 +60,7 @@ def turned_lines(
     shape = offsets.shape[:-1]
     origin, direction = (np.broadcast_to(part, (*shape, 3)) for part in (lines.ray.origin, lines.ray.direction))
     covariance = np.broadcast_to(lines.covariance, (*shape, 6, 6))
-    return PointingLine(Ray(origin, np.asarray(turned(direction, -signs * offsets))), covariance)
+    return PointingLine(Ray(origin, np.asarray(turn_directions(direction, -signs * offsets))), covariance)
 
 
 @dataclass(frozen=True)

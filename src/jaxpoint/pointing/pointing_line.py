@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxpoint.body.joints import Joints
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray, normalise
 
 LineKind = Literal["forearm", "finger", "eye-fingertip", "head-hand", "shoulder-hand"]
 KINDS: tuple[LineKind, ...] = get_args(LineKind)
@@ -61,7 +61,7 @@ def directions(joints: Joints) -> Float[Array, "*batch 5 3"]:
         (joints.head, hand),
         (joints.shoulder, hand),
     )
-    return jnp.stack([normalised(end - start) for start, end in pairs], axis=-2)
+    return jnp.stack([normalise(end - start) for start, end in pairs], axis=-2)
 
 
 def pointing_ray(joints: Joints, weights: Float[AnyArray, "5"]) -> Ray:
@@ -70,7 +70,7 @@ def pointing_ray(joints: Joints, weights: Float[AnyArray, "5"]) -> Ray:
     Every line starts at the fingertip, whichever joints it is drawn through.
     """
     blended = jnp.sum(as_float(weights)[:, None] * directions(joints), axis=-2)
-    return Ray(joints.tip, normalised(blended))
+    return Ray(joints.tip, normalise(blended))
 
 
 @jit

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from jaxpoint.calibration.assembly import centred, rig_of
+from jaxpoint.calibration.assembly import centre_rig, rig_of
 from jaxpoint.calibration.bundle import LEAST_SQUARES
 from jaxpoint.calibration.outliers import robust_sigma
 from jaxpoint.calibration.pairs import pair_table
@@ -131,5 +131,5 @@ def from_truth(known: Recalibrated, mode: Literal["least_squares", "robust"], rn
     state = adjust(recording, known.true_state(recording), kept, freedom, loss_scale=loss, rtol=1e-9).state
     errors = np.linalg.norm(project(state)[0] - recording.pixels, axis=-1)
     sigma = robust_sigma(errors, kept, int(freedom.free.sum()))
-    state = centred(state, kept, tracks.cameras)
+    state = centre_rig(state, kept, tracks.cameras)
     return calibration_of(known, tracks, recording, state, sigma, 2 * sigma if mode == "robust" else None)

@@ -8,7 +8,7 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.angles import azimuth_elevation, turned
+from jaxpoint.geometry.angles import azimuth_elevation, turn_directions
 from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.bias.spread import Spread
@@ -53,4 +53,4 @@ class Bias(eqx.Module):
 
 @jit
 def _turned(model: AbstractBiasModel, directions: Array) -> Array:
-    return turned(directions[..., 0, :], -model.turn(azimuth_elevation(directions)))
+    return turn_directions(directions[..., 0, :], -model.turn(azimuth_elevation(directions)))

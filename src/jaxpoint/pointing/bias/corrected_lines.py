@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxpoint.body.joints import Joints, is_left
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.angles import azimuth_elevation, turned
+from jaxpoint.geometry.angles import azimuth_elevation, turn_directions
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.bias.models import AbstractBiasModel
@@ -40,7 +40,7 @@ def corrected_lines(
     def numbers(flat: Array, side: Array) -> Array:
         own = Joints.of_flat((flat.reshape(-1, 3) * side[None]).ravel())
         read = directions(own)[places]
-        straight = turned(read[0], -model.turn(azimuth_elevation(read)))
+        straight = turn_directions(read[0], -model.turn(azimuth_elevation(read)))
         return jnp.concatenate([own.tip * side, straight * side])
 
     def one(joints: Joints, spread: Array) -> tuple[Array, Array]:

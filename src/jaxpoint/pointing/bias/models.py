@@ -12,7 +12,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxpoint.geometry.angles import wrapped
+from jaxpoint.geometry.angles import wrap_angle
 from jaxpoint.geometry.arrays import AnyArray, as_float
 
 PRIOR = 0.5  # standard deviation of a blend's weight and of a polynomial's slope, before any data
@@ -84,7 +84,7 @@ class Blend(AbstractBiasModel):
     def turn(self, angles: Float[AnyArray, "*batch L 2"]) -> Float[Array, "*batch 2"]:
         angles = as_float(angles)
         apart = angles[..., 1:, :] - angles[..., :1, :]
-        apart = jnp.stack([wrapped(apart[..., 0]), apart[..., 1]], axis=-1)
+        apart = jnp.stack([wrap_angle(apart[..., 0]), apart[..., 1]], axis=-1)
         weights = jnp.where(self.used, self.weights, 0.0).astype(angles.dtype)
         drawn = jnp.einsum("...oc,co->...c", apart, weights)
         return jnp.broadcast_to(self.offset, drawn.shape) - drawn

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.errors import InsufficientDataError
-from jaxpoint.geometry.angles import azimuth_elevation, wrapped
+from jaxpoint.geometry.angles import azimuth_elevation, wrap_angle
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class Pointings:
             InsufficientDataError: targets are not known.
         """
         found = self.angles[:, 0] - np.asarray(azimuth_elevation(self.to_targets))
-        return np.stack([np.asarray(wrapped(jnp.asarray(found[:, 0]))), found[:, 1]], axis=1)
+        return np.stack([np.asarray(wrap_angle(jnp.asarray(found[:, 0]))), found[:, 1]], axis=1)
 
     @property
     def to_targets(self) -> Float[np.ndarray, "G 3"]:

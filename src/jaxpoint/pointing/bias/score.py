@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.geometry.angles import azimuth_elevation, wrapped
+from jaxpoint.geometry.angles import azimuth_elevation, wrap_angle
 from jaxpoint.geometry.line import angle_between
 from jaxpoint.pointing.bias.pointings import Pointings
 
@@ -37,7 +37,7 @@ def score(pointings: Pointings, directions: Float[np.ndarray, "G 3"], seed: int 
     errors = errors_deg(pointings, directions)
     low, high = bootstrap(errors, pointings.who, seed)
     off = np.asarray(azimuth_elevation(directions) - azimuth_elevation(pointings.to_targets))
-    left = np.rad2deg(np.asarray(wrapped(off[:, 0])).mean())
+    left = np.rad2deg(np.asarray(wrap_angle(off[:, 0])).mean())
     return Score(
         float(np.median(errors)), low, high, float(errors.mean()), float(left), float(np.rad2deg(off[:, 1].mean())),
         len(errors),

@@ -13,7 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float
 
 from jaxpoint.compilation import jit
-from jaxpoint.geometry.angles import azimuth_elevation, wrapped
+from jaxpoint.geometry.angles import azimuth_elevation, wrap_angle
 from jaxpoint.geometry.arrays import AnyArray, as_float
 from jaxpoint.pointing.bias.models import AbstractBiasModel
 from jaxpoint.pointing.bias.pointings import Pointings
@@ -39,7 +39,7 @@ class Observed(eqx.Module):
         """Lines of any length, and the directions from the first line's origin to its target."""
         angles, meant = azimuth_elevation(directions), azimuth_elevation(to_targets)
         left, up = jnp.moveaxis(angles[:, 0] - meant, -1, 0)
-        return Observed(angles, jnp.stack([wrapped(left), up], axis=-1), jnp.cos(meant[:, 1]))
+        return Observed(angles, jnp.stack([wrap_angle(left), up], axis=-1), jnp.cos(meant[:, 1]))
 
     @staticmethod
     def of(pointings: Pointings) -> Observed:

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
-from jaxpoint.geometry.line import Ray, normalised
+from jaxpoint.geometry.line import Ray, normalise
 from jaxpoint.pointing.mass import Edges, across
 from jaxpoint.pointing.shapes.polygon import angles_to, dot, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
@@ -90,7 +90,7 @@ class Spheres(AbstractPrimitives):
         gap2 = jnp.sum(gaps**2, axis=1)
         outside = (gap2 > self.radius**2) & (self.radius > 0)
         shrink = jnp.where(outside, 1 - self.radius**2 / jnp.where(outside, gap2, 1.0), 1.0)
-        half_axes = jax.vmap(across)(normalised(gaps)) * (self.radius * jnp.sqrt(shrink))[:, None, None]
+        half_axes = jax.vmap(across)(normalise(gaps)) * (self.radius * jnp.sqrt(shrink))[:, None, None]
         circle = gaps * shrink[:, None], half_axes[:, 0], half_axes[:, 1]  # which lies before the middle
         middle, left, up = (in_frame(frame, v) for v in circle)
         turn = jnp.where(outside, jnp.sign(triple_product(middle, left, up)), 0.0)

@@ -18,7 +18,7 @@ from jaxpoint.report.tables import offset_texts
 from jaxpoint.runs import write_run
 
 
-def written(
+def write_outcome(
     calibration: Calibration,
     out: Path,
     room: RoomConfig,
