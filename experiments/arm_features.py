@@ -57,7 +57,7 @@ def _limbs_of_session(job: tuple[int, int, int]) -> list[dict]:
     import jax
 
     from jaxpoint.config.person import PersonSettings
-    from jaxpoint.simulate.session import simulate_session
+    from jaxpoint.simulate.simulated_session import simulate_session
     from scored_sessions import settings_of
     from session_pixels import gestures_of
 

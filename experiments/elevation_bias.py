@@ -35,7 +35,7 @@ from markupsafe import Markup
 from elevation_grid import Grid
 from elevation_study import ElevationBias, Row
 from elevation_wall import Wall
-from jaxpoint.io.bias import write_bias
+from jaxpoint.io.bias_files import write_bias
 from jaxpoint.io.table import write_table
 from jaxpoint.report.html import render, write_page
 from jaxpoint.report.style import style, to_svg

@@ -38,7 +38,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.line import angle_between, normalise
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.track_files import read_tracks
 from jaxpoint.report.style import BAD, INK, short_names, style
 from jaxpoint.simulate.known import CLICK_PX, TAPE_M, KnownRoom, known_in
 from jaxpoint.simulate.rooms import ROOM_M, random_room

@@ -34,7 +34,7 @@ from jaxpoint.errors import InsufficientDataError
 from jaxpoint.evidence.marker_views import MarkerViews
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession, simulate_session
+from jaxpoint.simulate.simulated_session import SimulatedFrame, SimulatedSession, simulate_session
 
 MARKER = MarkerSettings()
 FINGER = {"left": Part.LEFT_FINGER, "right": Part.RIGHT_FINGER}

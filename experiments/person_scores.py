@@ -17,7 +17,7 @@ from jaxpoint.config.person import MarkerSettings, ThesisSettings
 from jaxpoint.detection.person.marker_regions import MarkerModel
 from jaxpoint.detection.person.thesis_regions import thesis_finger
 from jaxpoint.simulate.mesh import PARTS_A_PERSON
-from jaxpoint.simulate.session import SimulatedFrame
+from jaxpoint.simulate.simulated_session import SimulatedFrame
 from jaxpoint.simulate.truth import ARM
 from marker_tip import taught
 from session_pixels import GesturePixels

@@ -18,7 +18,7 @@ from jaxpoint.pointing.holds import Hold
 from jaxpoint.pointing.line_hypotheses import Correction, correction_of, line_hypotheses
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.pointing_line import KINDS, directions
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes import Rectangle
 
 LINES = KINDS[:2]  # forearm and finger

@@ -49,7 +49,7 @@ def main() -> None:
     with jax.enable_x64(True):
         rows = answered(sessions)
         if args.bias is not None:
-            from jaxpoint.io.bias import write_bias
+            from jaxpoint.io.bias_files import write_bias
             from pointing_answers import fitted
 
             write_bias(args.bias, fitted(sessions))

@@ -27,7 +27,7 @@ from jaxpoint.simulate.people.bones import NUMBER
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.scene import Scene, make_scene
-from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.simulated_session import floor_of
 from jaxpoint.simulate.viewpoints import Viewpoint, random_viewpoints, rig_of
 
 POINTS = ("tip", "knuckle", "wrist", "elbow", "shoulder", "head", "eye")

@@ -21,7 +21,7 @@ import numpy as np
 from jaxpoint.body.joints import joints_with_covariance
 from jaxpoint.config.people import PeopleSettings, PointingSettings
 from jaxpoint.simulate.people.play import make_play
-from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.simulated_session import floor_of
 from pointing_evaluation import answered, summary
 from pointing_people import Setting
 

@@ -29,7 +29,7 @@ from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, InputSettings, load_settings
 from jaxpoint.errors import InsufficientDataError, JaxpointError, UsageError
 from jaxpoint.io.files import replacing
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.track_files import read_tracks
 from jaxpoint.metrics import metrics
 from jaxpoint.tracks import Tracks
 from jaxpoint.validation import validate_held_out

@@ -101,7 +101,7 @@ def score_session(settings: SimulationSettings, seed: int, every: int) -> dict:
     """All scores of one session, for JSON: of views, of gestures, and what pointing needs to answer them."""
     import person_scores
     from jaxpoint.config.person import PersonSettings
-    from jaxpoint.simulate.session import simulate_session
+    from jaxpoint.simulate.simulated_session import simulate_session
     from pointing_scores import kept_gesture
     from session_pixels import gestures_of
 

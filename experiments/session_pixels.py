@@ -22,7 +22,7 @@ from jaxpoint.detection.person.silhouette_views import AbstractCameraEvidence, w
 from jaxpoint.detection.person.thesis_regions import ThesisRegion, thesis_forearm
 from jaxpoint.detection.person.watcher import PersonWatch
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.session import SimulatedFrame, SimulatedSession
+from jaxpoint.simulate.simulated_session import SimulatedFrame, SimulatedSession
 
 LEAD = 4  # frames before the hold: enough for a head track to be confirmed
 View = tuple[int, int]  # moment and camera

@@ -49,7 +49,7 @@ from jaxpoint.detection.person.thesis_regions import of_shape
 from jaxpoint.detection.region import Region, label_regions, region_of
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.session import SimulatedSession, simulate_session
+from jaxpoint.simulate.simulated_session import SimulatedSession, simulate_session
 
 ARM = {
     "left": (Part.LEFT_FOREARM, Part.LEFT_HAND, Part.LEFT_FINGER),

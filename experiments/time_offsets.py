@@ -33,7 +33,7 @@ from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import JaxpointError
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.track_files import read_tracks
 from jaxpoint.simulate.rooms import Room, random_room
 from jaxpoint.tracks import Tracks
 

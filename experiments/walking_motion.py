@@ -44,7 +44,7 @@ def main() -> None:
 def walking_seconds(seed: int) -> tuple[int, int, int]:
     """The seed, and how many seconds of walking before a camera were found, of how many."""
     from jaxpoint.detection.person.frame_motion import intervals, learn_threshold, motion_between
-    from jaxpoint.simulate.session import simulate_session
+    from jaxpoint.simulate.simulated_session import simulate_session
 
     settings, motion = SimulationSettings(), MotionSettings()
     people = replace(settings.people, play="session")

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from jaxpoint.cli import main
-from jaxpoint.io.bias import read_bias
-from jaxpoint.io.pointings import read_pointings, write_pointings
+from jaxpoint.io.bias_files import read_bias
+from jaxpoint.io.pointing_files import read_pointings, write_pointings
 from jaxpoint.pointing.bias.score import errors_deg
 
 

@@ -13,7 +13,7 @@ import pytest
 from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.cli import command_line, main, parse
 from jaxpoint.config import RoomConfig
-from jaxpoint.io.tracks import load_tracks, save_tracks
+from jaxpoint.io.track_files import load_tracks, save_tracks
 from jaxpoint.runs import read_run, write_run
 from jaxpoint.simulate.rooms import random_room
 
@@ -250,15 +250,15 @@ def test_our_own_value_error_is_bad_input_and_a_foreign_one_a_bug(tmp_path, trac
     def refuse(*_, **__):
         return load_tracks(tracks_file).from_pixels(np.full((1, 1, 2), np.inf), np.array([[4, 4]]))
 
-    monkeypatch.setattr("jaxpoint.io.tracks.read_tracks", refuse)
+    monkeypatch.setattr("jaxpoint.io.track_files.read_tracks", refuse)
     code, _, err = run("check", tracks_file, capsys=capsys)
     assert (code, "is infinite" in err) == (4, True)
-    monkeypatch.setattr("jaxpoint.io.tracks.read_tracks", lambda *_, **__: np.zeros(3).reshape(2, 2))
+    monkeypatch.setattr("jaxpoint.io.track_files.read_tracks", lambda *_, **__: np.zeros(3).reshape(2, 2))
     assert run("check", tracks_file, capsys=capsys)[0] == 1
 
 
 def test_a_missing_package_is_code_3(tracks_file, monkeypatch, capsys):
-    monkeypatch.setitem(__import__("sys").modules, "jaxpoint.io.tracks", None)
+    monkeypatch.setitem(__import__("sys").modules, "jaxpoint.io.track_files", None)
     code, _, err = run("check", tracks_file, capsys=capsys)
     assert code == 3
     assert "jaxpoint doctor" in err
@@ -392,14 +392,14 @@ def test_a_simulation_that_is_asked_to_end_leaves_nothing_hidden(tmp_path):
     (tmp_path / "small.toml").write_text("[simulate.viewpoints]\ncameras = 1\nsize = [64, 36]")
     code = """
 import os, signal, sys
-import jaxpoint.simulate.recording
+import jaxpoint.simulate.session_folder
 from jaxpoint.cli import command_line
 
 def asked_to_end(folder, *_, **__):
     (folder / "begun").touch()
     os.kill(os.getpid(), signal.SIGTERM)
 
-jaxpoint.simulate.recording.write_session = asked_to_end
+jaxpoint.simulate.session_folder.write_session = asked_to_end
 command_line()
 """
     command = [sys.executable, "-c", code, "simulate", "--config", "small.toml", "--out", "session"]

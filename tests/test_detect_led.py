@@ -15,7 +15,7 @@ from videos import write_stamped
 from jaxpoint.cli import main
 from jaxpoint.commands.detect_led import REMEDIES
 from jaxpoint.detection.light.blob import Reason
-from jaxpoint.io.tracks import load_tracks
+from jaxpoint.io.track_files import load_tracks
 
 SIZE = (160, 120)
 

@@ -16,9 +16,9 @@ from jaxpoint.config import RoomConfig, load_config
 from jaxpoint.detection import PeopleRequest, detect_people, unregister_detector
 from jaxpoint.geometry.line import Ray
 from jaxpoint.io.calibration import read_calibration_json
-from jaxpoint.io.objects import parse_objects
+from jaxpoint.io.object_files import parse_objects
 from jaxpoint.io.session import open_session
-from jaxpoint.io.tracks import save_tracks
+from jaxpoint.io.track_files import save_tracks
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.pointing_line import PointingLine

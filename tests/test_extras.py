@@ -17,7 +17,7 @@ from jaxpoint.config import RoomConfig
 from jaxpoint.errors import InsufficientDataError, MissingDependencyError
 from jaxpoint.extras import extra
 from jaxpoint.io.session import open_session
-from jaxpoint.io.tracks import save_tracks
+from jaxpoint.io.track_files import save_tracks
 from jaxpoint.report.html import write_report
 from jaxpoint.runs import Interrupted, read_run, save_run, write_run
 
@@ -140,7 +140,7 @@ def test_check_keeps_its_findings(tmp_path, solved_room, monkeypatch, capsys):
 def test_diff_keeps_its_findings_and_its_verdict(tmp_path, solved_room, monkeypatch, capsys):
     monkeypatch.setattr("jaxpoint.runs.write_report", lambda path, *_, **__: path.write_text("page"))
     write_run(tmp_path / "run", solved_room[1], RoomConfig(), command="test")
-    monkeypatch.setattr("jaxpoint.report.difference.write_difference_report", broken)
+    monkeypatch.setattr("jaxpoint.report.difference_page.write_difference_report", broken)
     code, out, _ = run("diff", tmp_path / "run", tmp_path / "run", "--out", tmp_path / "diff", capsys=capsys)
     assert (code, len(lines_of(out))) == (0, 1)
     assert (tmp_path / "diff" / "diff.json").exists()
@@ -187,9 +187,11 @@ def test_detect_led_keeps_the_tracks_and_no_page_of_another_detection(tmp_path, 
 
 
 def test_simulate_keeps_the_session(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("jaxpoint.simulate.session.simulate_session", lambda *_: SIMULATED)
-    monkeypatch.setattr("jaxpoint.simulate.recording.write_session", lambda folder, *_, **__: (folder / "x").touch())
-    monkeypatch.setattr("jaxpoint.simulate.recording.write_preview", broken)
+    monkeypatch.setattr("jaxpoint.simulate.simulated_session.simulate_session", lambda *_: SIMULATED)
+    monkeypatch.setattr(
+        "jaxpoint.simulate.session_folder.write_session", lambda folder, *_, **__: (folder / "x").touch()
+    )
+    monkeypatch.setattr("jaxpoint.simulate.session_folder.write_preview", broken)
     code, out, _ = run("simulate", "--out", tmp_path / "session", capsys=capsys)
     assert (code, len(lines_of(out))) == (0, 1)
     assert "Preview:" not in out

@@ -10,7 +10,7 @@ from jaxpoint.commands.inputs import tracks_from
 from jaxpoint.config import InputSettings
 from jaxpoint.config.loading import load_settings, to_toml
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.tracks import save_tracks
+from jaxpoint.io.track_files import save_tracks
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.tracks import Tracks
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxpoint.io.tracks import load_tracks, read_tracks, save_tracks
+from jaxpoint.io.track_files import load_tracks, read_tracks, save_tracks
 from jaxpoint.targets import Target
 from jaxpoint.tracks import PointPrior, Tracks, join_tracks
 

@@ -39,7 +39,7 @@ from jaxpoint.pointing.held_joints import held_joints
 from jaxpoint.pointing.holds import Hold
 from jaxpoint.pointing.line_hypotheses import Correction, correction_of, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes import Rectangle
 from jaxpoint.report.answer_text import sentence
 from jaxpoint.simulate.scene import make_scene

@@ -24,7 +24,7 @@ import tyro
 from jaxpoint.commands.console import table
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import SimulationSettings
-from jaxpoint.simulate.session import SimulatedSession, simulate_session
+from jaxpoint.simulate.simulated_session import SimulatedSession, simulate_session
 
 
 @dataclass(frozen=True)

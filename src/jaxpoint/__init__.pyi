@@ -1,7 +1,7 @@
 # Observations
 from .tracks import PointPrior as PointPrior, Tracks as Tracks, join_tracks as join_tracks
 from .targets import Target as Target
-from .io.tracks import read_tracks as read_tracks
+from .io.track_files import read_tracks as read_tracks
 from .detection.light.led import detect_led as detect_led
 from .config import LedSettings as LedSettings
 
@@ -50,7 +50,7 @@ from .compilation import jit_once as jit_once
 # Pointing
 from .pointing.pointing_line import PointingLine as PointingLine
 from .pointing.objects import Objects as Objects
-from .io.objects import read_objects as read_objects
+from .io.object_files import read_objects as read_objects
 from .pointing.hits import Hits as Hits, intersect as intersect
 from .pointing.nearest import Nearest as Nearest, nearest as nearest
 from .pointing.posterior import Behaviour as Behaviour, Posterior as Posterior, posterior as posterior
@@ -61,8 +61,8 @@ from .pointing.bias.bias import Bias as Bias
 from .pointing.bias.fit import fit_bias as fit_bias, fit_personal_bias as fit_personal_bias
 from .pointing.bias.learn import learn_bias as learn_bias
 from .pointing.bias.pointings import Pointings as Pointings
-from .io.bias import read_bias as read_bias
-from .io.pointings import read_pointings as read_pointings
+from .io.bias_files import read_bias as read_bias
+from .io.pointing_files import read_pointings as read_pointings
 
 # Errors
 from .errors import (

@@ -29,7 +29,7 @@ from jaxpoint.config import RoomConfig, load_config, to_toml
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.extras import extra
 from jaxpoint.io.calibration import write_calibration_toml
-from jaxpoint.io.result import load_result, save_result
+from jaxpoint.io.result_files import load_result, save_result
 from jaxpoint.metrics import metrics
 from jaxpoint.report.html import write_report
 

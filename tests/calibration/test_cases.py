@@ -9,7 +9,7 @@ from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.config import CalibrateSettings, LensSettings
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.track_files import read_tracks
 from jaxpoint.triangulation import Flag, triangulate
 
 

@@ -11,7 +11,7 @@ from jaxpoint.calibration.clocks import find_clocks, survey_clocks
 from jaxpoint.commands.inputs import tracks_from
 from jaxpoint.config import EpipolarSettings, InputSettings
 from jaxpoint.io.svoboda import read_svoboda
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.track_files import read_tracks
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.tracks import Tracks
 

@@ -21,7 +21,7 @@ from jaxpoint.calibration.uncertainty import centres_by_parameters
 from jaxpoint.camera.parameters import adjusted_lenses
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.result import load_result, save_result
+from jaxpoint.io.result_files import load_result, save_result
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.targets import Target
 from jaxpoint.tracks import PointPrior, Tracks, join_tracks

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_t
 from elevation_grid import Grid
 from elevation_study import ElevationBias, calibration_error, personal_turns, plain_means, probabilities, reliability
 from elevation_wall import Wall
-from jaxpoint.io.bias import read_bias
+from jaxpoint.io.bias_files import read_bias
 from jaxpoint.pointing.bias.fit import fit_bias
 from jaxpoint.pointing.bias.spread import Spread
 

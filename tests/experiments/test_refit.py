@@ -8,7 +8,7 @@ import pytest
 import refit_calibration as refit
 from jaxpoint.config import load_settings
 from jaxpoint.errors import UsageError
-from jaxpoint.io.tracks import save_tracks
+from jaxpoint.io.track_files import save_tracks
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,7 +8,7 @@ import pytest
 
 import thesis_endpoints as rule
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.simulate.session import simulate_session
+from jaxpoint.simulate.simulated_session import simulate_session
 
 ARM = 9
 

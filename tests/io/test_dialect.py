@@ -5,8 +5,8 @@ import pytest
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import natural_key, parse_table, read_table
-from jaxpoint.io.known import read_landmarks
-from jaxpoint.io.tracks import read_tracks
+from jaxpoint.io.known_points import read_landmarks
+from jaxpoint.io.track_files import read_tracks
 
 NAMES = ("cam_0", "cam_1", "cam_2", "cam_3")
 CASES = {

@@ -17,7 +17,7 @@ from jaxpoint.pointing.line_hypotheses import LineHypothesis, line_hypotheses
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes import Rectangle
 
 AIMING = np.array([0.9, 0.5, 0.99, 0.8, 0.02])

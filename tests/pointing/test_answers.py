@@ -8,7 +8,7 @@ import pytest
 
 from jaxpoint.pointing.answers import Answer, ObjectScene, Place, _by_words, _meant, _without_words
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes import Box, Sphere
 from jaxpoint.report.answer_text import as_json
 from jaxpoint.report.gesture_table import gestures_table

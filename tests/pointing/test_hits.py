@@ -15,7 +15,7 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import MOST, intersect
 from jaxpoint.pointing.nearest import nearest, nearest_to_points
 from jaxpoint.pointing.objects import Objects, Thing
-from jaxpoint.pointing.room import MARGIN_M, SURFACES, Room, end_in_room
+from jaxpoint.pointing.room_box import MARGIN_M, SURFACES, Room, end_in_room
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 from jaxpoint.pointing.shapes.sphere import Spheres

@@ -15,8 +15,8 @@ from jaxpoint.cli import main
 from jaxpoint.compilation import jit_once
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.line import Ray
+from jaxpoint.io.object_files import read_objects
 from jaxpoint.io.object_scene import read_scene
-from jaxpoint.io.objects import read_objects
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.mass import OutlineView, across
 from jaxpoint.pointing.nearest import nearest, nearest_to_points

@@ -17,7 +17,7 @@ from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.personal_offsets import Offsets, learnt_offsets, turned_lines
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import Behaviour
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes import Rectangle
 
 PEOPLE = People(jnp.diag(jnp.deg2rad(jnp.array([5.0, 8.0])) ** 2), Behaviour(np.deg2rad(2.0), np.deg2rad(3.0)))

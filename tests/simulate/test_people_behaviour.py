@@ -17,8 +17,8 @@ from jaxpoint.config.people import (
 )
 from jaxpoint.simulate.people.behaviour import draw_habit, draw_trial
 from jaxpoint.simulate.people.floor import Floor
-from jaxpoint.simulate.people.person import draw_person
 from jaxpoint.simulate.people.play import make_play
+from jaxpoint.simulate.people.simulated_person import draw_person
 
 ROOM = Floor()
 

@@ -12,9 +12,9 @@ from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
 from jaxpoint.simulate.people import colours
 from jaxpoint.simulate.people.actor import Actor, RestFrom, Stay
 from jaxpoint.simulate.people.floor import Floor
-from jaxpoint.simulate.people.person import draw_person
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.people.rest import Rest
+from jaxpoint.simulate.people.simulated_person import draw_person
 from jaxpoint.simulate.people.stance import standing
 
 HANGING: dict = {"left": "hanging", "right": "hanging"}

@@ -15,7 +15,7 @@ from jaxpoint.simulate.people.gait import TOES, Walk
 from jaxpoint.simulate.people.play import make_play
 from jaxpoint.simulate.people.stance import SitDown
 from jaxpoint.simulate.scene import make_scene
-from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.simulated_session import floor_of
 from jaxpoint.simulate.viewpoints import random_viewpoints
 
 TABLE, SEAT, SHELF = (2.2, 2.0, 3.6, 3.0, 0.75), (3.8, 2.3, 4.25, 2.75, 0.9), (0.0, 4.3, 1.5, 5.0, 2.0)

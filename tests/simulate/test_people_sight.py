@@ -12,10 +12,10 @@ from jaxpoint.geometry.line import Ray
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.shapes import Rectangle
+from jaxpoint.simulate.people.line_of_sight import seen_place
 from jaxpoint.simulate.people.play import make_play
-from jaxpoint.simulate.people.sight import seen_place
 from jaxpoint.simulate.scene import make_scene
-from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.simulated_session import floor_of
 
 
 def upright(distance: float, low: tuple[float, float], high: tuple[float, float]) -> np.ndarray:

@@ -6,7 +6,7 @@ import pytest
 
 from jaxpoint.config.simulation import SceneSettings, ViewpointSettings
 from jaxpoint.simulate.scene import make_scene
-from jaxpoint.simulate.session import floor_of
+from jaxpoint.simulate.simulated_session import floor_of
 from jaxpoint.simulate.viewpoints import random_viewpoints, rig_of
 
 SEEDS = range(6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.config.simulation import FaultSettings, SensorSettings, SimulationSettings, ViewpointSettings
-from jaxpoint.simulate.clocks import make_clocks
+from jaxpoint.simulate.camera_clocks import make_clocks
 from jaxpoint.simulate.sensor import NoiseField, Sensor, random_sensor
 
 SIZE = (320, 200)

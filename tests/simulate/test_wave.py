@@ -10,7 +10,7 @@ from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import SimulationSettings, ViewpointSettings, WaveSettings
 from jaxpoint.detection.light.led import detect_led
 from jaxpoint.simulate.capsules import Capsule
-from jaxpoint.simulate.session import simulate_session
+from jaxpoint.simulate.simulated_session import simulate_session
 from jaxpoint.simulate.wave import mirrored, simulate_wave
 
 SETTINGS = SimulationSettings(

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Slopes, Vector
-from jaxpoint.camera.plane import (
+from jaxpoint.camera.image_plane import (
     MAX_R2,
     PlaneModel,
     image_on_plane,
@@ -24,6 +23,7 @@ from jaxpoint.camera.plane import (
     tangential,
     undistort,
 )
+from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Slopes, Vector
 from jaxpoint.geometry.arrays import as_float
 
 WILD_R2 = 9.0  # of an adjustment on its way: beyond it the polynomial counts as constant, and cannot overflow

@@ -9,8 +9,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxpoint.camera.image_plane import on_plane
 from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Slopes, Vector
-from jaxpoint.camera.plane import on_plane
 from jaxpoint.geometry.arrays import as_float
 
 

@@ -10,8 +10,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from jaxpoint.camera.image_plane import (
+    MAX_R2,
+    PlaneModel,
+    image_on_plane,
+    in_reach,
+    plane_jacobian,
+    tangential,
+    undistort,
+)
 from jaxpoint.camera.lens import AbstractLens, Coefficient, Parameters, Vector
-from jaxpoint.camera.plane import MAX_R2, PlaneModel, image_on_plane, in_reach, plane_jacobian, tangential, undistort
 from jaxpoint.geometry.arrays import as_float
 
 _SAMPLES, _HALVINGS = 128, 40  # where the radius is looked at, from 1e-3 to 1e3, and how the end of its growth is found

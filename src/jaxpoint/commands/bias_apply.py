@@ -36,8 +36,8 @@ class BiasApply(Options):
         """Write the corrected lines to `--out`."""
         import numpy as np
 
-        from jaxpoint.io.bias import read_bias
-        from jaxpoint.io.pointings import read_pointings, write_pointings
+        from jaxpoint.io.bias_files import read_bias
+        from jaxpoint.io.pointing_files import read_pointings, write_pointings
 
         out = self.needed_file("corrected.csv")
         bias = read_bias(self.bias)

@@ -40,7 +40,7 @@ class BiasCompare(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """One row a model."""
-        from jaxpoint.io.pointings import read_pointings
+        from jaxpoint.io.pointing_files import read_pointings
         from jaxpoint.pointing.bias.fit import KINDS, Kind, left_out
         from jaxpoint.pointing.bias.score import score
 

@@ -50,8 +50,8 @@ class BiasFit(Options):
 
     def run(self, console: Console) -> Outcome:
         """Write the bias to `--out`."""
-        from jaxpoint.io.bias import read_bias, write_bias
-        from jaxpoint.io.pointings import read_pointings
+        from jaxpoint.io.bias_files import read_bias, write_bias
+        from jaxpoint.io.pointing_files import read_pointings
         from jaxpoint.pointing.bias.fit import fit_bias, fit_personal_bias
 
         out = self.needed_file("bias.toml")

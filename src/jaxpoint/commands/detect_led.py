@@ -141,7 +141,7 @@ def _strips(detection: LedDetection) -> list[tuple[str, np.ndarray]]:
 def _write(out: Path, detection: LedDetection) -> dict[str, Any]:
     """The tracks as `.npz` and how the detection went as `.json`; returns the latter."""
     from jaxpoint.detection.light.led import Reason
-    from jaxpoint.io.tracks import save_tracks
+    from jaxpoint.io.track_files import save_tracks
     from jaxpoint.runs import versions, write_json
 
     save_tracks(out, detection.tracks, detection.reasons, [reason.name.lower() for reason in Reason])

@@ -117,7 +117,7 @@ def _write(
     import numpy as np
 
     from jaxpoint.config import DetectSettings, to_toml
-    from jaxpoint.io.heads import save_heads
+    from jaxpoint.io.head_files import save_heads
     from jaxpoint.io.table import write_table
     from jaxpoint.report.people_page import write_people_report
     from jaxpoint.report.people_pictures import sheets

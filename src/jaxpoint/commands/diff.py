@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jaxpoint.io.calibration import SavedCalibration
-    from jaxpoint.report.difference import Compared
+    from jaxpoint.report.difference_page import Compared
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class Diff(Options):
 
     def run(self, console: Console) -> Outcome:
         """The difference; more than the uncertainties allow is a failure of the outcome."""
-        from jaxpoint.report.difference import difference_table, figures_of, sentences
+        from jaxpoint.report.difference_page import difference_table, figures_of, sentences
 
         if self.out is not None:
             self.needed_folder("")
@@ -60,7 +60,7 @@ class Diff(Options):
         return Outcome(figures_of(compared), lines, _failure(compared, self.first, self.second), tuple(missing))
 
     def _keep(self, out: Path, compared: Compared, missing: list[str]) -> None:
-        from jaxpoint.report.difference import figures_of, write_difference_report
+        from jaxpoint.report.difference_page import figures_of, write_difference_report
         from jaxpoint.runs import MARK, new_run, provenance, write_json
 
         files = [path / "calibration.json" if path.is_dir() else path for path in (self.first, self.second)]
@@ -86,7 +86,7 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
     """
     from jaxpoint.calibration.difference import difference, sampled_places
     from jaxpoint.io.calibration import read_calibration
-    from jaxpoint.report.difference import Compared
+    from jaxpoint.report.difference_page import Compared
 
     one, other = read_calibration(first), read_calibration(second)
     names = [name for name in one.rig.names if name in other.rig.names]
@@ -155,7 +155,7 @@ def _why_not_compared(first: Path, one: SavedCalibration, second: Path, other: S
 
 def _without_covariance(path: Path) -> str:
     """Why a calibration says nothing of its uncertainty: of a run, what stood in the way when it was made."""
-    from jaxpoint.io.result import load_result
+    from jaxpoint.io.result_files import load_result
 
     why = load_result(path).undetermined if (path / "result.npz").is_file() else ""
     if why:
@@ -188,7 +188,7 @@ def _points_of_light(path: Path) -> np.ndarray | None:
     import numpy as np
 
     from jaxpoint.calibration.difference import PLACES
-    from jaxpoint.io.result import load_result
+    from jaxpoint.io.result_files import load_result
 
     if not (path / "result.npz").is_file():
         return None

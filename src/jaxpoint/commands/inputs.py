@@ -30,7 +30,7 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
     """
     from jaxpoint.commands.given_clocks import on_given_clock, without_left_out
     from jaxpoint.io.timestamps import read_timestamps, synchronise
-    from jaxpoint.io.tracks import read_tracks
+    from jaxpoint.io.track_files import read_tracks
 
     tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
     if not tracks.frames:
@@ -78,7 +78,7 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
 def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> CameraRig:
     """The lenses of the tracks' cameras under their names."""
     from jaxpoint.camera.rig import CameraRig
-    from jaxpoint.io.lenses import match_names
+    from jaxpoint.io.lens_files import match_names
 
     places = list(range(len(rig))) if by_order else match_names(tracks.names, rig.names)
     if places is None or len(places) != len(tracks.names):
@@ -93,7 +93,7 @@ def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> Cam
 
 def _lenses_at_size(path: Path, rig: CameraRig, tracks: Tracks) -> CameraRig:
     """The lenses at the size of the tracks' images."""
-    from jaxpoint.io.lenses import scale_lenses
+    from jaxpoint.io.lens_files import scale_lenses
 
     known, wanted = rig.image_sizes.tolist(), tracks.image_sizes.tolist()
     if known == wanted:

@@ -38,8 +38,8 @@ class ObjectsCheck(Options):
 
     def run(self, console: Console) -> Outcome:
         """Read, measure and print."""
-        from jaxpoint.io.objects import read_objects
-        from jaxpoint.pointing.room import Room
+        from jaxpoint.io.object_files import read_objects
+        from jaxpoint.pointing.room_box import Room
         from jaxpoint.pointing.survey import outside, overlaps, survey
 
         check_no_out(self.out)

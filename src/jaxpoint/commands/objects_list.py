@@ -31,7 +31,7 @@ class ObjectsList(Options):
 
     def run(self, console: Console) -> Outcome:
         """Read and print."""
-        from jaxpoint.io.objects import read_objects
+        from jaxpoint.io.object_files import read_objects
         from jaxpoint.pointing.survey import survey
 
         check_no_out(self.out)

@@ -126,7 +126,7 @@ class Point(SeededOptions):
         from jaxpoint.commands.nothing_found import nobody_followed, remedy_of_heights
         from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
         from jaxpoint.detection.person.session_watch import default_cache
-        from jaxpoint.io.bias import read_bias
+        from jaxpoint.io.bias_files import read_bias
         from jaxpoint.io.calibration import read_calibration
         from jaxpoint.io.object_scene import read_scene
         from jaxpoint.io.session import check_session, open_session

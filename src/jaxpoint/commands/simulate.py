@@ -17,7 +17,7 @@ from jaxpoint.config.simulation import AtLeastOne, ImageSide, SimulationSettings
 from jaxpoint.extras import extra
 
 if TYPE_CHECKING:
-    from jaxpoint.simulate.session import SimulatedSession
+    from jaxpoint.simulate.simulated_session import SimulatedSession
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +59,8 @@ class Simulate(SeededOptions):
     def run(self, console: Console) -> Outcome:
         """Write the session's folder, whole or not at all."""
         from jaxpoint.runs import MARK, new_run, provenance, write_json
-        from jaxpoint.simulate.recording import write_preview, write_session
-        from jaxpoint.simulate.session import simulate_session
+        from jaxpoint.simulate.session_folder import write_preview, write_session
+        from jaxpoint.simulate.simulated_session import simulate_session
         from jaxpoint.simulate.wave import simulate_wave
 
         out = self.needed_folder("session")

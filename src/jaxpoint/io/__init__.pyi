@@ -1,5 +1,5 @@
-from .bias import read_bias as read_bias, write_bias as write_bias
-from .body_landmarks import read_poses as read_poses
+from .bias_files import read_bias as read_bias, write_bias as write_bias
+from .landmark_files import read_poses as read_poses
 from .calibration import (
     SavedCalibration as SavedCalibration,
     read_calibration as read_calibration,
@@ -8,18 +8,18 @@ from .calibration import (
     write_calibration_json as write_calibration_json,
     write_calibration_toml as write_calibration_toml,
 )
-from .heads import read_heads as read_heads, save_heads as save_heads
-from .known import (
+from .head_files import read_heads as read_heads, save_heads as save_heads
+from .known_points import (
     read_camera_centres as read_camera_centres,
     read_landmark_pixels as read_landmark_pixels,
     read_landmarks as read_landmarks,
     read_lengths as read_lengths,
 )
-from .objects import Database as Database, read_objects as read_objects
-from .pointings import read_pointings as read_pointings, write_pointings as write_pointings
+from .object_files import Database as Database, read_objects as read_objects
+from .pointing_files import read_pointings as read_pointings, write_pointings as write_pointings
 from .qualisys import read_qualisys as read_qualisys
-from .result import load_result as load_result, save_result as save_result
+from .result_files import load_result as load_result, save_result as save_result
 from .session import Session as Session, open_session as open_session
 from .timestamps import Timestamps as Timestamps, read_timestamps as read_timestamps, synchronise as synchronise
-from .tracks import load_tracks as load_tracks, read_tracks as read_tracks, save_tracks as save_tracks
+from .track_files import load_tracks as load_tracks, read_tracks as read_tracks, save_tracks as save_tracks
 from .video import open_frames as open_frames

@@ -49,7 +49,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import UNITS, StrPath, natural_key, read_text, replacing
 from jaxpoint.io.lens_entries import read_coefficients
-from jaxpoint.io.lenses import YAML, read_yaml_lenses
+from jaxpoint.io.lens_files import YAML, read_yaml_lenses
 from jaxpoint.io.qualisys import read_qualisys
 from jaxpoint.io.rig_entries import (
     UNSTATED,

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import jax
 
-from jaxpoint.io.objects import Database, read_objects
+from jaxpoint.io.object_files import Database, read_objects
 from jaxpoint.pointing.answers import ObjectScene
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 
 
 def read_scene(path: Path, room: Room | None = None) -> tuple[ObjectScene, Database]:

@@ -1,4 +1,4 @@
-"""Adding an object to a database (`jaxpoint.io.objects`), in the file's own unit, so that the file loses nothing."""
+"""Adding an object to a database (`io.object_files`), in the file's own unit, so that the file loses nothing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import tomli_w
 
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import StrPath, parse_header, parse_table, read_text, replacing
-from jaxpoint.io.objects import (
+from jaxpoint.io.object_files import (
     PLAIN,
     UNITS,
     Database,

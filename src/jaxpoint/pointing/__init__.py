@@ -15,7 +15,7 @@ from jaxpoint.pointing.nearest import Nearest, nearest, nearest_to_points
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.pointing_line import PointingLine, pointing_lines, pointing_ray
 from jaxpoint.pointing.posterior import Behaviour, Posterior, posterior
-from jaxpoint.pointing.room import Room, RoomPoint, end_in_room
+from jaxpoint.pointing.room_box import Room, RoomPoint, end_in_room
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere
 from jaxpoint.pointing.word_evidence import words_evidence
 

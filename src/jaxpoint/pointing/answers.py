@@ -26,7 +26,7 @@ from jaxpoint.pointing.objects import NOTHING, Objects, Shapes
 from jaxpoint.pointing.personal_offsets import Ask, learnt_offsets, turned_lines
 from jaxpoint.pointing.pointing_line import PointingLine
 from jaxpoint.pointing.posterior import AMBIGUOUS, Behaviour, posterior
-from jaxpoint.pointing.room import SURFACES, Room, RoomPoint, end_in_room
+from jaxpoint.pointing.room_box import SURFACES, Room, RoomPoint, end_in_room
 from jaxpoint.pointing.word_evidence import words_evidence
 
 WRONG_OF_TWO_VIEWS = 0.15  # share of arms of two views that are another limb, or none

@@ -18,7 +18,7 @@ from jaxpoint.pointing.held_joints import HeldJoints, held_joints
 from jaxpoint.pointing.holds import ArmTrack, Hold, arm_tracks, find_holds, hold_within
 from jaxpoint.pointing.line_hypotheses import Correction, line_hypotheses
 from jaxpoint.pointing.no_gesture import no_gesture
-from jaxpoint.pointing.room import MAX_ROOM_M, Room
+from jaxpoint.pointing.room_box import MAX_ROOM_M, Room
 from jaxpoint.pointing.spoken import Interval, Word, evidence_of, pair_words
 
 

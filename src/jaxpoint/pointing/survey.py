@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.pointing.objects import Thing
-from jaxpoint.pointing.room import Room
+from jaxpoint.pointing.room_box import Room
 from jaxpoint.pointing.shapes.faces import Faces
 
 SAME_PLANE_M = 0.02

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
-from jaxpoint.simulate.people.person import Side
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.render import Drawn, LitPeople, label_of, samples_alone
 from jaxpoint.simulate.viewpoints import Viewpoint
 

@@ -17,7 +17,7 @@ from jaxpoint.config.simulation import WaveSettings
 from jaxpoint.simulate.capsules import Capsule
 from jaxpoint.simulate.mesh import Mesh, Part
 from jaxpoint.simulate.render import LitPeople, RoomView, draw_people
-from jaxpoint.simulate.session import SimulatedSession
+from jaxpoint.simulate.simulated_session import SimulatedSession
 from jaxpoint.simulate.viewpoints import Viewpoint
 
 KNOT_FRAMES = 14  # between the random places through which the light goes: about 30 px a frame

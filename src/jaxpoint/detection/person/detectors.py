@@ -14,7 +14,7 @@ from jaxpoint.detection.person.session_watch import Progress, watch_session
 from jaxpoint.errors import UsageError
 from jaxpoint.evidence.body_landmarks import landmark_views
 from jaxpoint.evidence.camera_evidence import AbstractCameraEvidence
-from jaxpoint.io.body_landmarks import read_poses
+from jaxpoint.io.landmark_files import read_poses
 from jaxpoint.io.session import Session
 
 SILHOUETTES, LANDMARKS, AUTO = "silhouettes", "landmarks", "auto"

@@ -12,11 +12,11 @@ from jaxtyping import Float
 
 from jaxpoint.simulate.mesh import Mesh
 from jaxpoint.simulate.people.body import Body, make_body
+from jaxpoint.simulate.people.body_pose import ArmPose, Pose
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.people.person import Person, Side
-from jaxpoint.simulate.people.pose import ArmPose, Pose
 from jaxpoint.simulate.people.rest import Rest, resting, swung
 from jaxpoint.simulate.people.rotations import Vector, smooth, turned_towards, unit, yawed
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.skeleton import SIDES, Skeleton, place, sign, thorax_frame
 from jaxpoint.simulate.people.stance import Stance
 

@@ -16,11 +16,11 @@ from typing import Literal
 import numpy as np
 
 from jaxpoint.config.people import Normal, PointingSettings
+from jaxpoint.simulate.people.body_pose import ArmPose
 from jaxpoint.simulate.people.drawing import draw
 from jaxpoint.simulate.people.hand import grip
-from jaxpoint.simulate.people.person import Person, Side
-from jaxpoint.simulate.people.pose import ArmPose
 from jaxpoint.simulate.people.rotations import UP, Matrix, Vector, about, frame_along, unit
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.skeleton import hand_frame, middle_joint, sign
 
 Law = Literal["accurate", "approximate"]

@@ -11,7 +11,7 @@ from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh, Part
 from jaxpoint.simulate.people.bones import NUMBER
 from jaxpoint.simulate.people.hand import hand_surfaces
 from jaxpoint.simulate.people.limbs import arm_surfaces, leg_surfaces, neck_surface
-from jaxpoint.simulate.people.person import Person
+from jaxpoint.simulate.people.simulated_person import Person
 from jaxpoint.simulate.people.surface import Surface
 from jaxpoint.simulate.people.trunk import head_surface, trunk_surface, yoke_surface
 

@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from jaxpoint.simulate.people.person import Side
-from jaxpoint.simulate.people.pose import Foot
+from jaxpoint.simulate.people.body_pose import Foot
 from jaxpoint.simulate.people.proportions import Proportions
 from jaxpoint.simulate.people.rotations import UP, Vector, about, smooth, wrapped, yawed
 from jaxpoint.simulate.people.route import Route
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.people.skeleton import LEFT, sign
 from jaxpoint.simulate.people.stance import STRAIGHT, Stance, foot_at, hip_height
 

@@ -9,10 +9,10 @@ from jaxtyping import Float
 
 from jaxpoint.config.people import HoldSettings
 from jaxpoint.simulate.people.behaviour import Law
+from jaxpoint.simulate.people.body_pose import ArmPose
 from jaxpoint.simulate.people.drawing import draw
-from jaxpoint.simulate.people.person import Person, Side
-from jaxpoint.simulate.people.pose import ArmPose
 from jaxpoint.simulate.people.rotations import Vector, smooth
+from jaxpoint.simulate.people.simulated_person import Person, Side
 
 LOOK_AHEAD_S = 0.35  # the head turns before the arm does
 WAVES = 3

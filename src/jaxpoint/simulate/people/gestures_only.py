@@ -11,9 +11,9 @@ from jaxpoint.simulate.people.actor import Actor, RestFrom, Stay
 from jaxpoint.simulate.people.drawing import draw
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.planning import Performer, draw_target, plan_gesture
 from jaxpoint.simulate.people.rest import Rest
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.people.stance import Stance, standing
 
 ATTEMPTS = 400

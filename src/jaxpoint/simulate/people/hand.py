@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.simulate.people.person import Person, Side
 from jaxpoint.simulate.people.proportions import Proportions
 from jaxpoint.simulate.people.rotations import about
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.surface import Surface, loft, mirrored
 
 Y = np.array([0.0, 1.0, 0.0])

@@ -12,11 +12,11 @@ from jaxpoint.simulate.people.drawing import draw
 from jaxpoint.simulate.people.floor import Chair, Floor
 from jaxpoint.simulate.people.gait import Turn, Walk
 from jaxpoint.simulate.people.gesture import LOOK_AHEAD_S, Gesture
-from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.planning import Performer, draw_target, plan_gesture
 from jaxpoint.simulate.people.rest import Rest
 from jaxpoint.simulate.people.rotations import Vector
 from jaxpoint.simulate.people.route import Route, find_route
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.people.stance import SitDown, Stance, before_seat, sitting, standing
 
 HANGING: dict[Side, Rest] = {"left": "hanging", "right": "hanging"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.simulate.people.person import SLEEVES, Person
+from jaxpoint.simulate.people.simulated_person import SLEEVES, Person
 from jaxpoint.simulate.people.surface import Surface, loft
 
 SPACING_M = 0.026

@@ -10,13 +10,13 @@ import numpy as np
 from jaxpoint.config.people import PeopleSettings, PointingSettings
 from jaxpoint.simulate.people.actor import AHEAD, gaze_at, pose_of
 from jaxpoint.simulate.people.behaviour import Habit, Stand, aim, draw_habit, draw_trial
+from jaxpoint.simulate.people.body_pose import ArmPose, Pose
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture, draw_times, draw_tremor
-from jaxpoint.simulate.people.person import Person, Side, draw_person
-from jaxpoint.simulate.people.pose import ArmPose, Pose
+from jaxpoint.simulate.people.line_of_sight import Corners, is_hidden, seen_place
 from jaxpoint.simulate.people.rest import resting
 from jaxpoint.simulate.people.rotations import Vector, wrapped, yawed
-from jaxpoint.simulate.people.sight import Corners, is_hidden, seen_place
+from jaxpoint.simulate.people.simulated_person import Person, Side, draw_person
 from jaxpoint.simulate.people.skeleton import SIDES, head_frame, place, shoulder_of, thorax_frame
 from jaxpoint.simulate.people.stance import Stance
 from jaxpoint.simulate.people.trunk import eyes

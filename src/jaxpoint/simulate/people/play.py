@@ -16,7 +16,7 @@ from jaxpoint.simulate.people.crossing import crossing
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.people.gestures_only import gestures_only
-from jaxpoint.simulate.people.session import session
+from jaxpoint.simulate.people.session_plan import session
 
 
 @runtime_checkable

@@ -6,9 +6,9 @@ from typing import Literal
 
 import numpy as np
 
-from jaxpoint.simulate.people.person import Person, Side
-from jaxpoint.simulate.people.pose import ArmPose
+from jaxpoint.simulate.people.body_pose import ArmPose
 from jaxpoint.simulate.people.rotations import Vector, about, unit
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.skeleton import LEFT, middle_joint, sign
 
 Rest = Literal["hanging", "hip", "belly", "lap"]

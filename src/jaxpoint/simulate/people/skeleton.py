@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxpoint.simulate.people.body import Frames
+from jaxpoint.simulate.people.body_pose import ArmPose, Foot, Pose
 from jaxpoint.simulate.people.bones import BONES
 from jaxpoint.simulate.people.hand import NEAR, finger_frames
-from jaxpoint.simulate.people.person import Person, Side
-from jaxpoint.simulate.people.pose import ArmPose, Foot, Pose
 from jaxpoint.simulate.people.proportions import Proportions
 from jaxpoint.simulate.people.rotations import UP, Matrix, Vector, about, between, frame_along, unit, wrapped, yawed
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.trunk import eyes
 
 SIDES: tuple[Side, Side] = ("left", "right")

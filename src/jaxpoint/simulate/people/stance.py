@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jaxpoint.simulate.people.person import Side
-from jaxpoint.simulate.people.pose import Foot
+from jaxpoint.simulate.people.body_pose import Foot
 from jaxpoint.simulate.people.proportions import Proportions
 from jaxpoint.simulate.people.rotations import Vector, smooth, yawed
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.people.skeleton import SIDES, sign
 
 STRAIGHT = 0.997  # of the length of a leg: nobody stands with locked knees

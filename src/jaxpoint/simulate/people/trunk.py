@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.simulate.people.person import Person, Side
+from jaxpoint.simulate.people.simulated_person import Person, Side
 from jaxpoint.simulate.people.surface import Surface, corner_normals, loft, mirrored
 
 # Height, half breadth, half depth, and how far forward the middle lies, all over stature.

@@ -18,8 +18,8 @@ from jaxpoint.io.session import open_session
 from jaxpoint.io.timestamps import read_timestamps
 from jaxpoint.io.video import open_frames
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Part
-from jaxpoint.simulate.recording import write_session
-from jaxpoint.simulate.session import simulate_session
+from jaxpoint.simulate.session_folder import write_session
+from jaxpoint.simulate.simulated_session import simulate_session
 
 SETTINGS = SimulationSettings(
     empty_frames=3,
@@ -176,7 +176,7 @@ def test_flags_go_before_the_file_and_the_file_before_the_defaults(tmp_path, mon
         asked.append(settings)
         raise UsageError("noted")
 
-    monkeypatch.setattr("jaxpoint.simulate.session.simulate_session", noted)
+    monkeypatch.setattr("jaxpoint.simulate.simulated_session.simulate_session", noted)
     command = ["simulate", "--config", str(tmp_path / "room.toml"), "--out", str(tmp_path / "out"), "--people", "1"]
     assert main(command) == 2
     (settings,) = asked
@@ -212,8 +212,8 @@ def test_the_command_writes_once_and_replaces_only_by_force(tmp_path, capsys, mo
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("jaxpoint.simulate.session.simulate_session", lambda *_: session)
-        patch.setattr("jaxpoint.simulate.recording._write_joints", full)
+        patch.setattr("jaxpoint.simulate.simulated_session.simulate_session", lambda *_: session)
+        patch.setattr("jaxpoint.simulate.session_folder._write_joints", full)
         assert main([*command, "--force"]) == 3
     assert (tmp_path / "out" / "objects.csv").read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "room.toml"]

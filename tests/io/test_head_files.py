@@ -7,7 +7,7 @@ import pytest
 
 from jaxpoint.body.tracking.head_tracks import HeadTracks, Status
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.heads import HEAD_COLUMNS, read_heads, save_heads
+from jaxpoint.io.head_files import HEAD_COLUMNS, read_heads, save_heads
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from jaxpoint.cli import main
 from jaxpoint.evidence.person_evidence import JOINTS
-from jaxpoint.io.body_landmarks import joint_of, read_poses
+from jaxpoint.io.landmark_files import joint_of, read_poses
 from jaxpoint.io.session import open_session
 
 SESSION = Path(str(files("jaxpoint"))) / "data" / "session"

@@ -15,7 +15,7 @@ from jaxpoint.config.loading import to_toml
 from jaxpoint.config.point import RoomExtent
 from jaxpoint.errors import MissingDependencyError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.simulate.session import Progress, SimulatedFrame, SimulatedSession
+from jaxpoint.simulate.simulated_session import Progress, SimulatedFrame, SimulatedSession
 from jaxpoint.simulate.wave import SimulatedWave
 
 CORNERS = ("lt", "rt", "lb", "rb")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.tracks import load_reasons, load_tracks, read_tracks, save_tracks
+from jaxpoint.io.track_files import load_reasons, load_tracks, read_tracks, save_tracks
 from jaxpoint.tracks import Tracks
 
 LONG = """frame,time,camera,x,y

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.bias import read_bias, write_bias
-from jaxpoint.io.pointings import read_pointings, write_pointings
+from jaxpoint.io.bias_files import read_bias, write_bias
+from jaxpoint.io.pointing_files import read_pointings, write_pointings
 from jaxpoint.pointing.bias.bias import Bias, Fitted
 from jaxpoint.pointing.bias.models import Blend, Constant, ConstantElevation, Personal, Polynomial
 from jaxpoint.pointing.bias.spread import Spread

@@ -17,7 +17,7 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
 from jaxpoint.io.files import replacing
-from jaxpoint.io.tracks import load_tracks, save_tracks
+from jaxpoint.io.track_files import load_tracks, save_tracks
 
 VERSION = 1
 ARRAYS = ("points", "point_valid", "residuals", "verdicts")

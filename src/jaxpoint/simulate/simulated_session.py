@@ -16,15 +16,15 @@ from jaxtyping import Float, UInt8
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings
 from jaxpoint.errors import UsageError
-from jaxpoint.simulate.clocks import Clocks, make_clocks
+from jaxpoint.simulate.camera_clocks import Clocks, make_clocks
 from jaxpoint.simulate.furniture import NamedObject
 from jaxpoint.simulate.lighting import RoomLight, light_room
 from jaxpoint.simulate.mesh import PARTS_A_PERSON, Mesh
 from jaxpoint.simulate.people.actor import Actor
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture
-from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.play import Play, make_play
+from jaxpoint.simulate.people.simulated_person import Side
 from jaxpoint.simulate.render import Drawn, LitPeople, RoomView, draw_people, light_people, nobody, render_room
 from jaxpoint.simulate.scene import SIZE_M, Scene, make_scene
 from jaxpoint.simulate.sensor import NoiseField, Sensor, random_sensor

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from jaxpoint.simulate.people.person import Side
 from jaxpoint.simulate.people.rotations import Vector, turned_towards
+from jaxpoint.simulate.people.simulated_person import Side
 
 
 @dataclass(frozen=True)

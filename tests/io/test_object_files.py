@@ -9,7 +9,7 @@ import pytest
 from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.objects import check_shape, read_objects
+from jaxpoint.io.object_files import check_shape, read_objects
 from jaxpoint.io.objects_adding import append_object
 from jaxpoint.pointing.objects import Thing
 from jaxpoint.pointing.shapes import Box, Rectangle, Sphere, register, shapes

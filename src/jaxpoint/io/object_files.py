@@ -34,7 +34,7 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
-from jaxpoint.pointing.room import MAX_ROOM_M, Room
+from jaxpoint.pointing.room_box import MAX_ROOM_M, Room
 from jaxpoint.pointing.shapes.registry import shapes
 from jaxpoint.pointing.shapes.shape import AbstractShape, Field
 
