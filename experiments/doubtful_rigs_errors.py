@@ -15,9 +15,9 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from doubtful_rigs_generator import Rig
+from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import centres
-from jaxpoint.calibration.uncertainty import centres_by_parameters
 
 FAR = 5.0  # times the median distance
 

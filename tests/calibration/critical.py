@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.uncertainty import centres_by_parameters
 from jaxpoint.tracks import Tracks
 
 FRAMES, NOISE_PX, SIZE, FOCAL = 400, 0.3, (1280, 720), 800.0

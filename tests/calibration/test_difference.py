@@ -11,8 +11,8 @@ import pytest
 from jaxpoint.calibration import difference as diff
 from jaxpoint.calibration.alignment import transformed_covariance
 from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.gauge import gauge_directions_of_cameras
 from jaxpoint.calibration.sight import in_view
-from jaxpoint.calibration.uncertainty import gauge_directions_of_cameras
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Similarity

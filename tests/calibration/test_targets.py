@@ -12,12 +12,12 @@ from jaxpoint.calibration.bundle import CameraModel
 from jaxpoint.calibration.chain import chain_of
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.eliminated import Poses
+from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.planar_pose import from_homography, homography
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, _problem, adjust
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.calibration.sight import centres
-from jaxpoint.calibration.uncertainty import centres_by_parameters
 from jaxpoint.camera.parameters import adjusted_lenses
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import InsufficientDataError, UsageError

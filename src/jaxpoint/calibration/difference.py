@@ -25,9 +25,9 @@ from scipy.stats import chi2
 
 from jaxpoint.calibration.alignment import transformed_covariance, umeyama
 from jaxpoint.calibration.expected import moved_by_cameras, parallax
+from jaxpoint.calibration.gauge import FREEDOMS, centres_by_parameters, gauge_directions_of_cameras
 from jaxpoint.calibration.middle import far_middle, near, rig_about
 from jaxpoint.calibration.sight import centres, derivatives_perturbed, in_view, poses, project
-from jaxpoint.calibration.uncertainty import FREEDOMS, centres_by_parameters, gauge_directions_of_cameras
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry import rotation as so3

@@ -13,10 +13,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve
 
+from jaxpoint.calibration.gauge import FREEDOMS, gauge_directions_of_cameras
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
-from jaxpoint.calibration.uncertainty import FREEDOMS, gauge_directions_of_cameras, variance_px2
+from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
 from jaxpoint.motion import motion
 from jaxpoint.tracks import Tracks

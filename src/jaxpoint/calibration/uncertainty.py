@@ -28,18 +28,23 @@ from jaxtyping import Array, Bool, Float
 from scipy.linalg import block_diag, cho_factor, cho_solve
 from scipy.special import exp1
 
+from jaxpoint.calibration.gauge import (
+    FREEDOMS,
+    centres_by_parameters,
+    gauge_directions_of_cameras,
+    gauge_directions_of_points,
+)
 from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Hold
 from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
-from jaxpoint.calibration.sight import centres, derivatives, poses
+from jaxpoint.calibration.sight import centres, derivatives
 from jaxpoint.camera.parameters import change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.arrays import AnyArray
 from jaxpoint.triangulation import triangulate
 
-FREEDOMS = 7  # of a similarity: translation, rotation vector (rad), log scale
 NO_LOSS = 50.0  # (loss scale / sigma)^2 / 2 from which a robust loss costs less than 2 % and counts as none
 
 
@@ -294,32 +299,6 @@ def _anchor_sums(
 def _pull(tangent, directions, weights) -> Float[np.ndarray, "B d 7"]:
     """How the error of an unknown enters u, through all its points."""
     return np.einsum("bk,bkid,bkif->bdf", weights, tangent, directions, optimize=True)
-
-
-def gauge_directions_of_points(points: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 7"]:
-    """How the seven freedoms of a similarity move points: translation, rotation vector, log scale."""
-    ways = np.zeros((len(points), 3, FREEDOMS))
-    ways[:, :, :3], ways[:, :, 3:6], ways[:, :, 6] = np.eye(3), -_skews(points), points
-    return ways
-
-
-def gauge_directions_of_cameras(rig: CameraRig) -> Float[np.ndarray, "C p 7"]:
-    """How they move the cameras' parameters so that no pixel changes: w = -R phi, dt = t scale - R shift."""
-    rotation, translation = poses(rig)
-    ways = np.zeros((len(rig), rig.camera_size, FREEDOMS))
-    ways[:, :3, 3:6], ways[:, 3:6, :3], ways[:, 3:6, 6] = -rotation, -rotation, translation
-    return ways
-
-
-def centres_by_parameters(rig: CameraRig) -> Float[np.ndarray, "C 3 p"]:
-    """The centre is -R^T t: its change with w and dt is -R^T (dt + t x w)."""
-    rotation, translation = poses(rig)
-    back = -np.swapaxes(rotation, 1, 2)
-    return np.concatenate([back @ _skews(translation), back, np.zeros((len(rig), 3, rig.camera_size - 6))], axis=2)
-
-
-def _skews(vectors: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 3"]:
-    return -np.cross(vectors[:, None, :], np.eye(3)[None])
 
 
 def _adjusted_covariances(

@@ -9,8 +9,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxpoint.calibration.expected import ADDED, Gain, boxes_of, eighths, expected_error, gains
+from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.uncertainty import centres_by_parameters, variance_px2
+from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.report.advice import Advice
 from jaxpoint.report.summary import Scene, Summary
 from jaxpoint.report.tables import Table
