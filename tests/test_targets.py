@@ -49,6 +49,8 @@ def test_rows_are_sorted_by_point_and_frame_and_their_series_do_not_touch():
     assert steps[2] > 1e9
     assert tracks.of_one_point().frame_ids.tolist() == [1, 2, 3]
     assert tracks.rows_by_name() == {"1": 0, "2": 1, "3": 2}
+    assert tracks.extent == "5 points in 3 frames"
+    assert tracks.of_one_point().select_cameras([0]).frames == 3
 
 
 def test_rows_that_cannot_be_are_refused():

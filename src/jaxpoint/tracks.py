@@ -123,6 +123,13 @@ class Tracks(eqx.Module):
         """Number of frames, F."""
         return self.pixels.shape[0]
 
+    @property
+    def extent(self) -> str:
+        """How much there is, in words: frames of a light, or points in frames."""
+        if self.point_ids is None:
+            return f"{self.frames:,} frames"
+        return f"{self.frames:,} points in {len(np.unique(self.frame_ids)):,} frames"
+
     def without_targets(self) -> Tracks:
         """The same rows, each a point by itself: what is known of shapes is left out."""
         if self.target_ids is None:

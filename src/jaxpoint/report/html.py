@@ -80,7 +80,7 @@ def write_report(
         "calibration.html.j2",
         kind="jaxpoint calibration report",
         title=title,
-        subtitle=f"{len(summary.names)} cameras, {calibration.tracks.frames:,} frames",
+        subtitle=f"{len(summary.names)} cameras, {calibration.tracks.extent}",
         sections=_sections(calibration, sheets),
         judgement=judge_summary(summary, quality, advice, settings),
         tiles=_tiles(summary, calibration, seconds),
@@ -144,7 +144,7 @@ def write_tracks_report(
         "tracks.html.j2",
         kind="jaxpoint check",
         title=title,
-        subtitle=f"{tracks.cameras} cameras, {tracks.frames:,} frames",
+        subtitle=f"{tracks.cameras} cameras, {tracks.extent}",
         sections=[
             ("verdict", "Verdict"), ("next", "What to do"), ("pairs", "Pairs"), ("coverage", "Coverage"),
             ("sync", "In step?"), *([("detections", "Detections")] if sheets else []), ("provenance", "Provenance"),
@@ -227,7 +227,7 @@ def _tiles(summary: Summary, calibration: Calibration, seconds: Mapping[str, Any
         (px(summary.mean_px), "mean error, kept"),
         (px(summary.mean_all_px), "mean error, all"),
         (f"{summary.kept_fraction:.1%}", f"of {int(summary.comparable.sum()):,} kept (frames of two views)"),
-        (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.frames:,} frames used"),
+        (f"{int(summary.point_valid.sum()):,}", f"of {calibration.tracks.extent} used"),
         (px(summary.sigma_px, 2), "noise of a coordinate"),
         ("metres" if calibration.unit == "m" else "no unit", "aligned" if calibration.in_room else "not aligned"),
     ]
