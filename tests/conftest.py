@@ -19,9 +19,12 @@ from jaxpoint.config import LensSettings
 from jaxpoint.simulate.known import known_in
 from jaxpoint.simulate.rooms import random_room
 
-# Compilation dominates tests, and with XLA's older emitters of CPU fusions it takes half the time, as in the package's
-# own programs (`compilation.CPU_OPTIONS`). Processes that tests start inherit it.
-os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+# Compilation dominates tests: without most optimisations they take less than half the time (measured). With XLA_FLAGS
+# set, to nothing even, programs are compiled as users have them. Processes that tests start inherit it.
+if "XLA_FLAGS" not in os.environ:
+    os.environ["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false"
+    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
+    jax.config.update("jax_disable_most_optimizations", True)
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 # `HYPOTHESIS_PROFILE=repeatable` draws the same examples every time; without it each run looks for new ones.
