@@ -2,14 +2,18 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from critical import ring, row, seen, sigmas_off, waved
 
 from jaxpoint.calibration.aspects import aspect_of, aspect_patterns, aspect_text
 from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.quality import assess
+from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.errors import InsufficientDataError, QualityError, UsageError
@@ -153,3 +157,27 @@ def test_a_lens_model_that_is_too_poor_is_refused(choice):
     quality = assess(with_covariance(calibrate(random_room(3, cameras=4, frames=300).tracks, settings)), settings)
     assert "lens model" in quality.causes
     assert "--lens.distortion auto" in str(quality.failure)
+
+
+def test_a_rig_that_refutes_both_priors_is_not_called_good(free_room):
+    """A start far off ended so with focal lengths 20 % wrong: what one prior would show, the other's loss hides."""
+    calibration = free_room[1]
+    before, rig = calibration.freedom, calibration.rig
+    cropped, weight = before.prior_mean.copy(), before.prior_weight.copy()
+    weight[0, 8:10] = 0.0
+    wide = np.asarray(rig.cameras.focal) * np.array([1.0, 16.0 / 15.0])
+    stretched = eqx.tree_at(lambda rig: rig.cameras.lens, rig, replace_focal(rig.cameras.lens, wide))
+    after = Freedom(before.free, cropped, weight)
+    levels = [
+        {item.cause: item.level for item in given_up(before, end, shape)}
+        for end, shape in ((after, rig), (before, stretched), (after, stretched))
+    ]
+    assert levels == [
+        {"cropped image": "care"},
+        {"pixel aspect": "care"},
+        {"cropped image": "care", "pixel aspect": "bad"},
+    ]
+
+
+def replace_focal(lens, focal):
+    return type(lens)(jnp.asarray(lens.parameters).at[:, :2].set(focal))

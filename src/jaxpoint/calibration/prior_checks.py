@@ -77,11 +77,14 @@ def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Findin
     if not before.free[:count, ASPECT].any() and moved.any():
         shown = " and ".join(sorted({aspect_text(float(value)) for value in aspects[moved]}))
         solved = "; it was solved for" if after.free[:count, ASPECT].any() else ""
+        # A rig far from the truth pulls at both priors; with both gone nothing is left that would show it.
+        doubtful = looser.any()
+        beside = "; with principal points off too, either may stand for another fault" if doubtful else ""
         yield Finding(
             "pixel aspect",
-            "care",
+            "bad" if doubtful else "care",
             f"The pixels of {', '.join(_named(rig, moved))} are {shown} times as wide as high{solved}; square ones are "
-            "refuted by the recording.",
+            f"refuted by the recording{beside}.",
             "State the aspect to be sure (--lens.aspect 16/15 for PAL video), or scale the images to square pixels",
             _named(rig, moved),
         )
