@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from jaxpoint.errors import FileFormatError
 from jaxpoint.io.track_files import load_tracks, read_tracks, save_tracks
 from jaxpoint.targets import Target
 from jaxpoint.tracks import PointPrior, Tracks, join_tracks
@@ -90,3 +91,8 @@ def test_a_table_tells_points_apart(tmp_path):
     tracks = read_tracks(tmp_path / "wand.csv")
     assert tracks.point_ids.tolist() == [0, 0, 0, 1, 1, 1]
     assert tracks.pixels[4, 1].tolist() == [12.0, 21.0]
+    (tmp_path / "wand.csv").write_text("\n".join([*lines, lines[-1]]))
+    with pytest.raises(
+        FileFormatError, match="camera 'cam_1' has a second line for frame 2 and point 1; keep one line"
+    ):
+        read_tracks(tmp_path / "wand.csv")

@@ -297,9 +297,12 @@ def _scatter(
         name = row.text("camera")
         place = index[key], camera_index[name]
         if taken[place]:
+            again = f"camera '{name}' has a second line for frame {key[1]}"
+            if "point" in row.values or "keypoint_id" in row.values:
+                raise row.error(f"{again} and point {key[0]}; keep one line.")
             raise row.error(
-                f"camera '{name}' has a second line for frame {key[1]}; a file holds one light, unless a column "
-                "'point' tells several apart: keep one line, or add that column."
+                f"{again}; a file holds one light, unless a column 'point' tells several apart: keep one line, or add "
+                "that column."
             )
         taken[place] = True
         if not (row.missing(xy[0]) or row.missing(xy[1])):
