@@ -201,21 +201,29 @@ def _moved(start, change):
     return replace(start, cameras=start.cameras + cameras, points=start.points + points, poses=poses)
 
 
-def test_known_points_hold_the_frame_of_the_room(room):
+def known_marks(room, wrong=0.0):
+    """Eight static points, each known to 2 mm; the first is said to be elsewhere by `wrong` (m)."""
     rng = np.random.default_rng(8)
     everywhere = np.asarray(room.points)
     marks = np.median(everywhere, axis=0) + 0.6 * (rng.random((8, 3)) - 0.5) * np.ptp(everywhere, axis=0)
-    static = Tracks.from_pixels(
-        observed(room, marks, rng, seen=1.0),
+    pixels = observed(room, marks, rng, seen=1.0)
+    stated = marks + 0.002 * rng.normal(size=marks.shape)
+    stated[0, 0] += wrong
+    return Tracks.from_pixels(
+        pixels,
         np.asarray(room.rig.image_sizes),
         names=room.tracks.names,
         frame_ids=np.zeros(8, int),
         point_ids=np.arange(8),
-        prior=PointPrior(marks + 0.002 * rng.normal(size=marks.shape), np.full(8, 0.002)),
+        prior=PointPrior(stated, np.full(8, 0.002)),
     )
-    found = with_covariance(calibrate(join_tracks(room.tracks, static)))
+
+
+def test_known_points_hold_the_frame_of_the_room(room):
+    found = with_covariance(calibrate(join_tracks(room.tracks, known_marks(room))))
     assert found.unit == "m"
     assert found.in_room
+    assert "known point" not in assess(found).causes
     away = centres(found.rig) - np.asarray(room.rig.positions)
     assert np.linalg.norm(away, axis=1).max() < 0.06
     size = found.rig.camera_size
@@ -223,6 +231,13 @@ def test_known_points_hold_the_frame_of_the_room(room):
     truth = np.asarray(room.rig.cameras.cam_from_world.translation)
     own = np.sqrt(np.diagonal(found.camera_covariance)).reshape(-1, size)[:, 3:6]
     assert np.abs((translation - truth) / own).max() < 4.5
+
+
+@pytest.mark.parametrize("wrong", [0.05, 0.5])
+def test_a_known_point_that_is_elsewhere_is_named(room, wrong):
+    found = with_covariance(calibrate(join_tracks(room.tracks, known_marks(room, wrong))))
+    causes = {item.cause: item.finding for item in assess(found).findings if item.level == "bad"}
+    assert "point 1 (frame 0)" in causes["known point"]  # the light is point 0
 
 
 def test_one_camera_alone_adds_what_it_saw_of_the_board(room):

@@ -12,6 +12,7 @@ from jaxpoint.calibration.camera_checks import camera_findings
 from jaxpoint.calibration.determinacy import determinacy_findings
 from jaxpoint.calibration.held_terms import held_term_findings
 from jaxpoint.calibration.known_lenses import known_lens_findings
+from jaxpoint.calibration.known_points import known_point_findings
 from jaxpoint.calibration.lens_checks import lens_findings
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.prior_checks import prior_findings
@@ -97,6 +98,7 @@ def assess(
         *geometry,
         *prior_findings(calibration, normal),
         *known_lens_findings(calibration, normal),
+        *known_point_findings(calibration),
         *lens_findings(calibration),
         *(() if normal is None else held_term_findings(calibration)),
         *camera_findings(calibration, settings, normal),
