@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.targets import Target
 
-NO_TARGET = -1
+NO_TARGET = NO_ROW = -1
 SERIES = 2**40  # from one point's frames to the next one's in `series_ids`: more than any recording has
 
 
@@ -72,29 +72,8 @@ class Tracks(eqx.Module):
         if pixels.ndim != 3 or pixels.shape[2] != 2:
             raise ValueError(f"Pixels must have shape (frames, cameras, 2), not {pixels.shape}.")
         frames, cameras, _ = pixels.shape
-        if np.isinf(pixels).any():
-            frame, camera, _ = np.argwhere(np.isinf(pixels))[0]
-            raise ValueError(
-                f"The pixel of camera {camera} in frame {frame} is infinite; write NaN where the light was not seen."
-            )
-        seen = np.asarray(np.isfinite(pixels).all(axis=2))
-        if visible is not None:
-            visible = np.asarray(visible, dtype=bool)
-            if visible.shape != (frames, cameras):
-                raise ValueError(f"`visible` has shape {visible.shape}, but the pixels need {(frames, cameras)}.")
-            if (visible & ~seen).any():
-                frame, camera = np.argwhere(visible & ~seen)[0]
-                raise ValueError(
-                    f"Camera {camera} in frame {frame} is marked visible but its pixel is NaN; "
-                    "mark it hidden or give its pixel."
-                )
-            seen = visible
-        sizes = np.asarray(image_sizes).astype(np.int64)
-        if sizes.shape != (cameras, 2) or (sizes <= 0).any():
-            raise ValueError(f"Image sizes must be {cameras} rows of positive width and height, not {sizes.tolist()}.")
-        names = tuple(names) or tuple(f"cam_{i}" for i in range(cameras))
-        if len(names) != cameras or len(set(names)) != cameras:
-            raise ValueError(f"{cameras} cameras need {cameras} different names, not {list(names)}.")
+        seen = _seen(pixels, visible)
+        sizes, names = _checked_cameras(cameras, image_sizes, names)
         ids = np.arange(frames) if frame_ids is None else np.asarray(frame_ids).astype(np.int64)
         if ids.shape != (frames,):
             raise ValueError(f"`frame_ids` has shape {ids.shape}, but there are {frames} frames.")
@@ -103,11 +82,7 @@ class Tracks(eqx.Module):
             if times.shape != (frames,):
                 raise ValueError(f"`times` has shape {times.shape}, but there are {frames} frames.")
         if pixel_aspects is not None:
-            pixel_aspects = np.asarray(pixel_aspects, dtype=np.float64)
-            if pixel_aspects.shape != (cameras,) or not (np.isfinite(pixel_aspects) & (pixel_aspects > 0)).all():
-                raise ValueError(
-                    f"{cameras} cameras need as many positive pixel aspects, not {pixel_aspects.tolist()}."
-                )
+            pixel_aspects = _checked_aspects(cameras, pixel_aspects)
         plain = Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
         if point_ids is None and target is None and prior is None:
             return plain
@@ -146,6 +121,16 @@ class Tracks(eqx.Module):
             changed |= np.diff(self.target_ids) != 0
         rank = np.concatenate([[0], np.cumsum(changed)])
         return SERIES * rank + self.frame_ids - self.frame_ids.min(initial=0)
+
+    def rows_of_target(self, number: int, wanted: Bool[np.ndarray, " F"]) -> Int[np.ndarray, "M K"]:
+        """The wanted rows of one of the targets, by frame and point of the target; -1 where there is none."""
+        if self.target_ids is None or self.point_ids is None:
+            raise ValueError("These tracks have no targets.")
+        own = np.flatnonzero((self.target_ids == number) & wanted)
+        frames, place = np.unique(self.frame_ids[own], return_inverse=True)
+        rows = np.full((len(frames), len(self.targets[number].points)), NO_ROW)
+        rows[place.ravel(), self.point_ids[own]] = own
+        return rows
 
     def rows_by_name(self) -> dict[str, int]:
         """The row of each frame of the light: the first point that is of no target."""
@@ -188,6 +173,47 @@ class Tracks(eqx.Module):
             names=tuple(self.names[i] for i in index),
             pixel_aspects=_chosen(self.pixel_aspects, index),
         )
+
+
+def _seen(pixels: Float[np.ndarray, "F C 2"], visible: np.ndarray | None) -> Bool[np.ndarray, "F C"]:
+    """Which pixels are there: those that are no NaN, or those said to be visible."""
+    if np.isinf(pixels).any():
+        frame, camera, _ = np.argwhere(np.isinf(pixels))[0]
+        raise ValueError(
+            f"The pixel of camera {camera} in frame {frame} is infinite; write NaN where the light was not seen."
+        )
+    given = np.asarray(np.isfinite(pixels).all(axis=2))
+    if visible is None:
+        return given
+    visible = np.asarray(visible, dtype=bool)
+    if visible.shape != given.shape:
+        raise ValueError(f"`visible` has shape {visible.shape}, but the pixels need {given.shape}.")
+    if (visible & ~given).any():
+        frame, camera = np.argwhere(visible & ~given)[0]
+        raise ValueError(
+            f"Camera {camera} in frame {frame} is marked visible but its pixel is NaN; mark it hidden or give its "
+            "pixel."
+        )
+    return visible
+
+
+def _checked_cameras(
+    cameras: int, image_sizes: np.ndarray, names: Sequence[str]
+) -> tuple[Int[np.ndarray, "C 2"], tuple[str, ...]]:
+    sizes = np.asarray(image_sizes).astype(np.int64)
+    if sizes.shape != (cameras, 2) or (sizes <= 0).any():
+        raise ValueError(f"Image sizes must be {cameras} rows of positive width and height, not {sizes.tolist()}.")
+    names = tuple(names) or tuple(f"cam_{i}" for i in range(cameras))
+    if len(names) != cameras or len(set(names)) != cameras:
+        raise ValueError(f"{cameras} cameras need {cameras} different names, not {list(names)}.")
+    return sizes, names
+
+
+def _checked_aspects(cameras: int, pixel_aspects: np.ndarray) -> Float[np.ndarray, " C"]:
+    aspects = np.asarray(pixel_aspects, dtype=np.float64)
+    if aspects.shape != (cameras,) or not (np.isfinite(aspects) & (aspects > 0)).all():
+        raise ValueError(f"{cameras} cameras need as many positive pixel aspects, not {aspects.tolist()}.")
+    return aspects
 
 
 ROWS = ("pixels", "visible", "frame_ids", "times", "point_ids", "target_ids")  # fields with a leading axis F

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.sight import covariance_of_points, derivatives
-from jaxpoint.tracks import NO_TARGET, Tracks
+from jaxpoint.tracks import NO_TARGET
 
 BLOCK = 1024  # rows at once
 RANK = 1e-12  # eigenvalues of a pose's normal equations below this share of the largest are open: a wand's turn
@@ -89,7 +89,7 @@ def _priors(calibration: Calibration) -> Float[np.ndarray, " F"]:
 def _poses(calibration: Calibration, posed: Bool[np.ndarray, " F"]) -> Iterator[RowGroup]:
     tracks, points = calibration.tracks, calibration.points
     for number, target in enumerate(tracks.targets):
-        rows = rows_of_target(tracks, number, posed)
+        rows = tracks.rows_of_target(number, posed)
         step = max(BLOCK // len(target.points), 1)
         for some in (rows[start : start + step] for start in range(0, len(rows), step)):
             shown = some >= 0
@@ -99,17 +99,6 @@ def _poses(calibration: Calibration, posed: Bool[np.ndarray, " F"]) -> Iterator[
             turning = np.cross(np.eye(3)[None, None], lever[..., None, :])  # (B, K, 3 of w, 3): e_i x lever
             tangent = np.concatenate([np.swapaxes(turning, 2, 3), np.broadcast_to(np.eye(3), turning.shape)], axis=-1)
             yield RowGroup(some, shown, tangent, np.zeros(len(some)))
-
-
-def rows_of_target(tracks: Tracks, number: int, wanted: Bool[np.ndarray, " F"]) -> Int[np.ndarray, "M K"]:
-    """The wanted rows of a target by frame and point; -1 where there is none."""
-    assert tracks.target_ids is not None
-    assert tracks.point_ids is not None
-    own = np.flatnonzero((tracks.target_ids == number) & wanted)
-    frames, place = np.unique(tracks.frame_ids[own], return_inverse=True)
-    rows = np.full((len(frames), len(tracks.targets[number].points)), -1)
-    rows[place.ravel(), tracks.point_ids[own]] = own
-    return rows
 
 
 def slopes_of(calibration: Calibration, group: RowGroup, seen: Bool[np.ndarray, "F C"]) -> Slopes:

@@ -120,26 +120,17 @@ def _scale(recording: Recording, state: RigState, sizes: list[np.ndarray]) -> tu
                 f"Target '{owned.target.name}' has {len(found)} frames in which two cameras or more placed two of its "
                 f"points or more, and {LEAST_FRAMES} are needed; show it to several cameras at once, or leave it out."
             )
-    measured = [np.isfinite(owned.target.size_sigma) for owned in recording.targets]
-    ratios = np.array([np.median(found) for found in sizes])
-    factor = 1.0
-    if not state.anchored and any(measured):
-        factor = 1.0 / _common(ratios[measured], [len(found) for found, known in zip(sizes, measured) if known])
+    ratios, frames = np.array([np.median(found) for found in sizes]), np.array([len(found) for found in sizes])
+    stated = np.array([np.isfinite(owned.target.size_sigma) for owned in recording.targets])
+    if not state.anchored and not stated.any():
+        stated[0] = True  # the unit is then the first target's
+    factor = 1.0 if state.anchored else 1.0 / float(np.average(ratios[stated], weights=frames[stated]))
     state = state if state.anchored else _move(state, factor, np.eye(3), np.zeros(3))
-    if not any(measured) and not state.anchored:
-        measured = [True, *measured[1:]]  # the unit is the first target's
-        state = _move(state, 1.0 / float(ratios[0]), np.eye(3), np.zeros(3))
-        factor = 1.0 / float(ratios[0])
+    ratios = factor * ratios
     targets = tuple(
-        owned if known else owned.scaled(float(factor * ratio))
-        for owned, known, ratio in zip(recording.targets, measured, ratios)
+        owned if known else owned.scaled(float(ratio)) for owned, known, ratio in zip(recording.targets, stated, ratios)
     )
-    return state, replace(recording, targets=targets), _contradictions(recording, factor * ratios, sizes)
-
-
-def _common(ratios: np.ndarray, frames: list[int]) -> float:
-    """Mean of the ratios by their frames."""
-    return float(np.average(ratios, weights=frames))
+    return state, replace(recording, targets=targets), _contradictions(recording, ratios, sizes)
 
 
 def _contradictions(recording: Recording, ratios: np.ndarray, sizes: list[np.ndarray]) -> list[Finding]:

@@ -12,12 +12,11 @@ from jaxpoint.calibration.adjustment import SeenTarget, Unknowns
 from jaxpoint.calibration.bundle import Adjusted, from_blocks, to_blocks
 from jaxpoint.calibration.eliminated import POSE
 from jaxpoint.targets import Target
-from jaxpoint.tracks import Tracks
+from jaxpoint.tracks import NO_ROW, Tracks
 
 if TYPE_CHECKING:
     from jaxpoint.calibration.recording import Recording, RigState
 
-NO_ROW = -1
 POINTS_A_BLOCK = 128  # as of lights: a block's Jacobians stay in cache
 
 
@@ -56,14 +55,8 @@ class TargetRows:
 
 def target_rows(tracks: Tracks, number: int) -> TargetRows:
     """Of one of the targets of the tracks."""
-    assert tracks.target_ids is not None
-    assert tracks.point_ids is not None
     target = tracks.targets[number]
-    own = np.flatnonzero(tracks.target_ids == number)
-    frames, place = np.unique(tracks.frame_ids[own], return_inverse=True)
-    rows = np.full((len(frames), len(target.points)), NO_ROW)
-    rows[place.ravel(), tracks.point_ids[own]] = own
-    return TargetRows(target, rows, target.centred)
+    return TargetRows(target, tracks.rows_of_target(number, np.ones(tracks.frames, bool)), target.centred)
 
 
 def known_poses(poses: np.ndarray) -> np.ndarray:
