@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from jaxpoint.calibration.bundle import CameraModel
 from jaxpoint.calibration.chain import chain_of
 from jaxpoint.calibration.covariance import with_covariance
-from jaxpoint.calibration.eliminated import Poses
+from jaxpoint.calibration.eliminated import TargetPoses
 from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.planar_pose import from_homography, homography
 from jaxpoint.calibration.quality import assess
@@ -196,7 +196,7 @@ def test_no_direction_lowers_the_whole_cost_at_the_optimum(small):
 
 def _moved(start, change):
     cameras, points, steps = change
-    still = Poses(jnp.zeros((1, 3)))
+    still = TargetPoses(jnp.zeros((1, 3)))
     poses = tuple(jax.vmap(still.moved)(part, step) for part, step in zip(start.poses, steps))
     return replace(start, cameras=start.cameras + cameras, points=start.points + points, poses=poses)
 

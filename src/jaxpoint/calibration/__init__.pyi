@@ -25,7 +25,7 @@ from .result import (
     Calibration as Calibration,
     Finding as Finding,
     PairTable as PairTable,
-    Hold as Hold,
+    FrameHold as FrameHold,
     Stage as Stage,
     TimeOffsets as TimeOffsets,
     Verdict as Verdict,

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PyTree
 
-from jaxpoint.calibration.eliminated import Poses
+from jaxpoint.calibration.eliminated import TargetPoses
 
 
 class Unknowns(eqx.Module):
@@ -92,7 +92,7 @@ class AbstractModel(eqx.Module):
         state = self.state(y.cameras, problem.constants)
         seen = [(y.points, problem.pixels, problem.weights)]
         for poses, target in zip(y.poses, problem.targets):
-            seen.append((jax.vmap(Poses(target.shape).places)(poses), target.pixels, target.weights))
+            seen.append((jax.vmap(TargetPoses(target.shape).places)(poses), target.pixels, target.weights))
         observed = tuple(self._robust(state, problem.loss_scale, *group) for group in seen)
         prior = jnp.sqrt(problem.prior_weight) * (y.cameras - problem.prior_mean)
         known = problem.point_priors

@@ -48,7 +48,7 @@ class AbstractEliminated(eqx.Module):
         """Sums over the points of each unknown."""
 
 
-class Points(AbstractEliminated):
+class FreePoints(AbstractEliminated):
     """Single points: K = 1."""
 
     @property
@@ -77,7 +77,7 @@ class Points(AbstractEliminated):
         return values
 
 
-class Poses(AbstractEliminated):
+class TargetPoses(AbstractEliminated):
     """Poses of one target."""
 
     shape: Float[Array, "K 3"]  # its points, in its own frame
@@ -120,5 +120,5 @@ class Poses(AbstractEliminated):
 
 
 def pose_values(rotation: Float[np.ndarray, "M 3 3"], translation: Float[np.ndarray, "M 3"]) -> np.ndarray:
-    """Poses (M, 12) as `Poses` takes them."""
+    """Poses (M, 12) as `TargetPoses` takes them."""
     return np.concatenate([rotation.reshape(-1, 9), translation], axis=1)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.calibration.adjustment import AbstractModel, PointPriors, Problem, Unknowns
-from jaxpoint.calibration.eliminated import AbstractEliminated, Points, Poses
+from jaxpoint.calibration.eliminated import AbstractEliminated, FreePoints, TargetPoses
 from jaxpoint.geometry.linalg import (
     Symmetric,
     backward_solve,
@@ -54,9 +54,9 @@ class _Group(eqx.Module):
 
 def _groups(y: Unknowns, problem: Problem) -> list[_Group]:
     """The points, then each target's poses."""
-    groups = [_Group(Points(), y.points, *_mask_hidden(problem.pixels, problem.weights), problem.point_priors)]
+    groups = [_Group(FreePoints(), y.points, *_mask_hidden(problem.pixels, problem.weights), problem.point_priors)]
     for poses, target in zip(y.poses, problem.targets):
-        groups.append(_Group(Poses(target.shape), poses, *_mask_hidden(target.pixels, target.weights), None))
+        groups.append(_Group(TargetPoses(target.shape), poses, *_mask_hidden(target.pixels, target.weights), None))
     return groups
 
 

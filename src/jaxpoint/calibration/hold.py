@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from jaxpoint.calibration.recording import Recording, RigState
-from jaxpoint.calibration.result import Hold
+from jaxpoint.calibration.result import FrameHold
 
 
-def hold_of(recording: Recording, state: RigState) -> Hold | None:
+def hold_of(recording: Recording, state: RigState) -> FrameHold | None:
     """None where nothing does, and a similarity is open."""
     if state.anchored:
-        return Hold(open_freedoms=0, scale_sigma=0.0)
+        return FrameHold(open_freedoms=0, scale_sigma=0.0)
     if not state.poses:
         return None
     sizes = [owned.target.size_sigma for owned in recording.targets]
-    return Hold(open_freedoms=6, scale_sigma=max((size for size in sizes if np.isfinite(size)), default=0.0))
+    return FrameHold(open_freedoms=6, scale_sigma=max((size for size in sizes if np.isfinite(size)), default=0.0))
 
 
 def is_metric(recording: Recording, state: RigState) -> bool:

@@ -16,7 +16,7 @@ from scipy.linalg import cho_factor, cho_solve
 from jaxpoint.calibration.gauge import FREEDOMS, gauge_directions_of_cameras
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
+from jaxpoint.calibration.row_groups import GroupSlopes, row_groups, slopes_of
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
 from jaxpoint.motion import motion
@@ -127,14 +127,14 @@ def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndar
 
 
 def _eliminate(
-    slopes: Slopes,
+    slopes: GroupSlopes,
     weights: Float[np.ndarray, "B K C"],
     residuals: Float[np.ndarray, "B K C 2"],
     prior: Float[np.ndarray, " B"],
 ) -> tuple[Float[np.ndarray, "D D"], Float[np.ndarray, " D"]]:
     """What some unknowns add to the matrix and to the gradient."""
     root = np.sqrt(weights)[..., None, None]
-    slopes = Slopes(slopes.by_camera * root, slopes.by_unknown * root)
+    slopes = GroupSlopes(slopes.by_camera * root, slopes.by_unknown * root)
     left = residuals * root[..., 0]
     own, cross = slopes.own(prior), slopes.cross
     pull = np.einsum("bkcid,bkci->bd", slopes.by_unknown, left)

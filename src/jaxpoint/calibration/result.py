@@ -70,7 +70,7 @@ class TimeOffsets:
 
 
 @dataclass(frozen=True)
-class Hold:
+class FrameHold:
     """What holds a calibration's scale and frame beside its observations: targets of known size, or known points."""
 
     open_freedoms: int  # of a similarity that nothing holds: 6 with targets (no scale), 0 with known points
@@ -110,7 +110,7 @@ class Calibration:
     freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
     loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
     time_offsets: TimeOffsets | None = None  # where they were solved for
-    hold: Hold | None = None  # targets or known points that took part in the adjustment
+    hold: FrameHold | None = None  # targets or known points that took part in the adjustment
     findings: tuple[Finding, ...] = ()  # what `calibrate` met on the way; `calibration.quality` adds the rest
 
     @property

@@ -29,7 +29,7 @@ class RowGroup(NamedTuple):
     prior: Float[np.ndarray, " B"]  # weight of what is known of each component, px^2 over its squared unit
 
 
-class Slopes(NamedTuple):
+class GroupSlopes(NamedTuple):
     """Derivatives of the pixels of a group's rows; zero where not seen. V = K C views."""
 
     by_camera: Float[np.ndarray, "B K C 2 q"]
@@ -101,7 +101,7 @@ def _poses(calibration: Calibration, posed: Bool[np.ndarray, " F"]) -> Iterator[
             yield RowGroup(some, shown, tangent, np.zeros(len(some)))
 
 
-def slopes_of(calibration: Calibration, group: RowGroup, seen: Bool[np.ndarray, "F C"]) -> Slopes:
+def slopes_of(calibration: Calibration, group: RowGroup, seen: Bool[np.ndarray, "F C"]) -> GroupSlopes:
     """Derivatives of what was seen of a group, by the adjusted parameters of the cameras and by the unknowns."""
     flat = group.rows.ravel()
     visible = seen[flat] & group.shown.ravel()[:, None]
@@ -112,4 +112,4 @@ def slopes_of(calibration: Calibration, group: RowGroup, seen: Bool[np.ndarray, 
     by_point = by_point.reshape(*shape, *by_point.shape[1:])
     tangent = group.tangent[:, :, None]
     by_unknown = by_point if group.tangent.shape[1] == 1 else by_point @ tangent
-    return Slopes(by_camera.reshape(*shape, *by_camera.shape[1:]), by_unknown)
+    return GroupSlopes(by_camera.reshape(*shape, *by_camera.shape[1:]), by_unknown)

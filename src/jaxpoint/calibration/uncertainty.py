@@ -36,8 +36,8 @@ from jaxpoint.calibration.gauge import (
 )
 from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration, Hold
-from jaxpoint.calibration.row_groups import Slopes, row_groups, slopes_of
+from jaxpoint.calibration.result import Calibration, FrameHold
+from jaxpoint.calibration.row_groups import GroupSlopes, row_groups, slopes_of
 from jaxpoint.calibration.sight import centres, derivatives
 from jaxpoint.camera.parameters import change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
@@ -222,7 +222,7 @@ class Anchoring(NamedTuple):
     measured: bool  # whether the weights are 1 / sigma^2 of known places
 
 
-class Adjusted(NamedTuple):
+class AdjustedCovariances(NamedTuple):
     """Covariances in the frame that the anchors hold; NaN where nothing determines the rig."""
 
     cameras: Float[np.ndarray, "D D"]  # of the adjusted parameters (`camera.parameters`)
@@ -260,7 +260,7 @@ class _Eliminated(NamedTuple):
     cameras: Float[np.ndarray, "C p p"]  # sum of J_c^T J_c
 
 
-def _eliminate(slopes: Slopes, free: Bool[np.ndarray, "C p"], prior: Float[np.ndarray, " B"]) -> _Eliminated:
+def _eliminate(slopes: GroupSlopes, free: Bool[np.ndarray, "C p"], prior: Float[np.ndarray, " B"]) -> _Eliminated:
     """Some unknowns, and what the cameras that see them say."""
     slopes = slopes._replace(by_camera=np.where(free[:, None, :], slopes.by_camera, 0.0))
     own, cross = slopes.own(prior), slopes.cross
@@ -303,7 +303,7 @@ def _pull(tangent, directions, weights) -> Float[np.ndarray, "B d 7"]:
 
 def _adjusted_covariances(
     calibration: Calibration, freedom: Freedom, anchoring: Anchoring, variance: float
-) -> Adjusted:
+) -> AdjustedCovariances:
     """Two passes over the points: one for the cameras and the frame, one for the points' own covariances."""
     rig, free, points = calibration.rig, freedom.free, calibration.points
     seen = calibration.kept & calibration.point_valid[:, None]
@@ -316,7 +316,7 @@ def _adjusted_covariances(
         loose = variance * _any_frame(own_blocks, taken, freedom, directions)
         hold = np.linalg.inv(gauge.normal[frame.both])
     except np.linalg.LinAlgError:
-        return Adjusted(*nothing)
+        return AdjustedCovariances(*nothing)
     own = (gauge.own + anchoring.measured * gauge.normal)[frame.both]
     with_u = loose @ gauge.of_cameras[frame.open].T  # (D, n)
     back = hold @ (gauge.of_cameras[frame.open] @ with_u + own) @ hold
@@ -339,13 +339,13 @@ def _adjusted_covariances(
     cameras = _hold_frame(loose, with_u, directions, hold, back)
     # A held parameter does not move with the scale; the translations, which do, are never held.
     cameras += frame.scale_variance * _squares(every[:, -1] - directions @ scaling)
-    return Adjusted(cameras, found)
+    return AdjustedCovariances(cameras, found)
 
 
 class _Frame:
     """Which of the seven freedoms of a similarity the observations leave open, and how uncertain a held scale is."""
 
-    def __init__(self, hold: Hold | None):
+    def __init__(self, hold: FrameHold | None):
         count = FREEDOMS if hold is None else hold.open_freedoms
         self.open = slice(0, count)
         self.both = self.open, self.open
@@ -372,7 +372,7 @@ def _sums(
     gauge = _centre_sums(rig, free, anchoring)
     if len(anchoring.clicked):
         by_camera, by_point = derivatives(rig, anchoring.places, anchoring.visible)
-        parts = _eliminate(Slopes(by_camera[:, None], by_point[:, None]), free, np.zeros(len(by_point)))
+        parts = _eliminate(GroupSlopes(by_camera[:, None], by_point[:, None]), free, np.zeros(len(by_point)))
         single = np.broadcast_to(np.eye(3), (len(by_point), 1, 3, 3))
         places, weights = anchoring.places[:, None], anchoring.clicked[:, None]
         gauge += _anchor_sums(parts, single, places, weights, anchoring.click_variance)

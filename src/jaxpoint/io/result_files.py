@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxpoint.calibration.alignment import Alignment
 from jaxpoint.calibration.recording import Freedom
-from jaxpoint.calibration.result import Calibration, Finding, Hold, PairTable, Stage
+from jaxpoint.calibration.result import Calibration, Finding, FrameHold, PairTable, Stage
 from jaxpoint.errors import FileFormatError
 from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
@@ -99,7 +99,7 @@ def load_result(folder: Path) -> Calibration:
         seed=about["seed"],
         freedom=freedom,
         loss_scale=about.get("loss_scale"),
-        hold=None if about.get("hold") is None else Hold(**about["hold"]),
+        hold=None if about.get("hold") is None else FrameHold(**about["hold"]),
         findings=tuple(Finding(**(f | {"cameras": tuple(f["cameras"])})) for f in about.get("findings", [])),
     )
 
