@@ -79,6 +79,7 @@ def solved(mixed):
 def test_light_wand_and_board_are_calibrated_in_metres(room, mixed, solved):
     assert solved.converged
     assert solved.unit == "m"
+    assert solved.gauge == "free"
     assert solved.kept.sum() >= 0.99 * mixed.visible.sum()
     ratios = lengths(solved.rig) / lengths(room.rig)
     assert abs(np.median(ratios) - 1.0) < 3e-3
@@ -223,6 +224,7 @@ def test_known_points_hold_the_frame_of_the_room(room):
     found = with_covariance(calibrate(join_tracks(room.tracks, known_marks(room))))
     assert found.unit == "m"
     assert found.in_room
+    assert found.gauge == "landmarks"
     assert "known point" not in assess(found).causes
     away = centres(found.rig) - np.asarray(room.rig.positions)
     assert np.linalg.norm(away, axis=1).max() < 0.06

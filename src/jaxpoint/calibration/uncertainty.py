@@ -9,7 +9,10 @@ S-transformation, Baarda 1973; Triggs et al. 2000, section 9.2):
   frames this gives the smallest trace over points and camera centres (the norm: squared lengths, every point and every
   centre alike), whatever the frame and the unit.
 - `gauge = "landmarks"`: the frame is the room's, as the weighted fit of `align_to_landmarks` finds it. The errors of
-  the landmarks' known places and of their places as seen both move it.
+  the landmarks' known places and of their places as seen both move it. Known points that took part in the adjustment
+  leave no freedom open: their share is in the normal equations.
+
+Targets of known size leave six freedoms open, and the scale is as uncertain as their sizes.
 
 Either is linear: e = d - G K u, where d is the error in any frame, G the seven directions in which a similarity moves
 cameras or points, u = sum of w G^T d over the anchors, and K = (sum of w G^T G)^-1.
@@ -183,7 +186,8 @@ def _uncertainty(calibration: Calibration, freedom: Freedom, anchors: Anchors | 
     covariance = (turn @ covariance).reshape(size, len(rig), -1)
     covariance = np.einsum("dcp,cqp->dcq", covariance, turn).reshape(size, size)
     covariance = covariance_about(world, covariance, -middle)
-    gauge = "free" if anchors is None else "landmarks"
+    known = calibration.hold is not None and calibration.hold.open_freedoms == 0
+    gauge = "landmarks" if known or anchors is not None else "free"
     points, sigma = jnp.asarray(found.points), jnp.asarray(calibration.sigma_px)
     return Uncertainty(world, jnp.asarray(covariance), points, sigma, gauge)
 
