@@ -218,7 +218,10 @@ def _save(
         folder / "calibration.toml",
         calibration.rig,
         unit=calibration.unit,
-        metadata={"error": figures["reprojection"]["mean_px"] or 0.0},
+        metadata={
+            "error": figures["reprojection"]["mean_px"] or 0.0,
+            **({} if calibration.in_room or calibration.unit != "m" else {"in_room": False}),
+        },
     )
 
 

@@ -21,7 +21,9 @@ from jaxpoint.calibration.sight import centres
 from jaxpoint.camera.parameters import adjusted_lenses
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import InsufficientDataError, UsageError
+from jaxpoint.io.calibration import read_calibration, write_calibration_toml
 from jaxpoint.io.result_files import load_result, save_result
+from jaxpoint.io.rig_entries import needs_metres
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.targets import Target
 from jaxpoint.tracks import PointPrior, Tracks, join_tracks
@@ -136,6 +138,11 @@ def test_files_keep_targets_and_what_they_hold(solved, tmp_path):
     assert again.hold == solved.hold
     np.testing.assert_array_equal(again.tracks.point_ids, solved.tracks.point_ids)
     np.testing.assert_allclose(with_covariance(again).camera_covariance, solved.camera_covariance, rtol=1e-6)
+    metres = {"unit": "m", "metadata": {"in_room": False}}
+    write_calibration_toml(tmp_path / "calibration.toml", solved.rig, **metres)
+    for name in ("calibration.json", "calibration.toml"):
+        with pytest.raises(UsageError, match=r"has metres, but neither floor nor up .* `jaxpoint align`"):
+            needs_metres(name, read_calibration(tmp_path / name), None)
 
 
 def test_the_gate_passes_it(solved):

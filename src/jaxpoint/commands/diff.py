@@ -96,8 +96,9 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
             f"{', '.join(other.rig.names)}. Cameras are matched by name."
         )
     for path, saved in ((first, one), (second, other)):
-        if not align and saved.unit != "m":
-            raise UsageError(f"'{path}' is not in metres; align it first, or leave out --no-align.")
+        if not align and (saved.unit != "m" or not saved.in_room):
+            lacking = "metres" if saved.unit != "m" else "the frame of the room"
+            raise UsageError(f"'{path}' is not in {lacking}; align it first, or leave out --no-align.")
     notes = [
         f"Not compared, because only '{path}' has them: {', '.join(alone)}."
         for path, saved in ((first, one), (second, other))

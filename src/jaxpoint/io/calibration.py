@@ -5,6 +5,7 @@
     {"format": "jaxpoint-calibration",
      "version": 1,
      "unit": "m",                          or "arbitrary" before alignment: the unit of all translations
+     "in_room": false,                     only where metres come from a target alone: the frame has no floor, no up
      "cameras": [{"name": "cam_0",
                   "size": [1280, 720],     width and height, px
                   "K": [[fx, 0, cx], [0, fy, cy], [0, 0, 1]],     px, (0, 0) is the centre of the top-left pixel
@@ -86,6 +87,7 @@ class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
     covariance: _CovarianceEntry | None = None
     provenance: dict[str, Any] = {}
     time_offsets: _TimeOffsetsEntry | msgspec.UnsetType = msgspec.UNSET
+    in_room: bool | msgspec.UnsetType = msgspec.UNSET  # only where it is not, though in metres
 
 
 def read_lenses(path: StrPath) -> CameraRig:
@@ -134,6 +136,7 @@ def write_calibration_json(
     gauge: str | None = None,
     provenance: Mapping[str, Any] | None = None,
     time_offsets: TimeOffsets | None = None,
+    in_room: bool = True,
 ) -> None:
     """Write a rig as `calibration.json` (schema: this module's docstring), at once or not at all.
 
@@ -143,6 +146,7 @@ def write_calibration_json(
         gauge: what holds its frame, "free" or "landmarks" (see `calibration.uncertainty`).
         provenance: anything JSON can hold.
         time_offsets: of the cameras, where they were solved for.
+        in_room: False for metres of a frame of the solver's own.
 
     Raises:
         ValueError: a number is not finite, or the covariance has another shape.
@@ -159,8 +163,9 @@ def write_calibration_json(
         if time_offsets is None
         else _TimeOffsetsEntry(time_offsets.frames.tolist(), time_offsets.sigma.tolist())
     )
+    own = False if unit == "m" and not in_room else msgspec.UNSET
     content = _CalibrationFile(
-        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, entries_of(rig), entry, dict(provenance or {}), late
+        CALIBRATION_FORMAT, CALIBRATION_VERSION, unit, entries_of(rig), entry, dict(provenance or {}), late, own
     )
     with replacing(path) as file:
         file.write(msgspec.json.format(msgspec.json.encode(content), indent=1))
@@ -195,7 +200,8 @@ def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
     late = _time_offsets(path, content.time_offsets, len(rig))
-    return SavedCalibration(rig, content.unit, _covariance(path, entry, rig), gauge, content.provenance, late)
+    covariance, in_room = _covariance(path, entry, rig), content.in_room is not False
+    return SavedCalibration(rig, content.unit, covariance, gauge, content.provenance, late, in_room)
 
 
 def _time_offsets(path: StrPath, entry: _TimeOffsetsEntry | msgspec.UnsetType, cameras: int) -> TimeOffsets | None:
@@ -271,7 +277,10 @@ def read_calibration_toml(path: StrPath, poses: bool = True) -> SavedCalibration
     if not cameras:
         raise FileFormatError(f"{path} holds no camera; expected sections [cam_0], [cam_1], ...")
     saved = SavedCalibration(
-        rig_of_entries(path, cameras, poses), str(metadata.get("unit", UNSTATED)), provenance=metadata
+        rig_of_entries(path, cameras, poses),
+        str(metadata.get("unit", UNSTATED)),
+        provenance=metadata,
+        in_room=metadata.get("in_room") is not False,
     )
     return in_metres(saved, saved.unit) if saved.unit in UNITS else saved
 

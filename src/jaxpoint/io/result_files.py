@@ -34,6 +34,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         gauge=calibration.gauge,
         provenance=provenance,
         time_offsets=calibration.time_offsets,
+        in_room=calibration.in_room,
     )
     save_tracks(folder / "tracks.npz", calibration.tracks)
     about = {

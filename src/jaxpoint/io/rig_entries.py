@@ -47,6 +47,7 @@ class SavedCalibration:
     gauge: str | None = None  # what holds its frame: "free" or "landmarks"
     provenance: dict[str, Any] = field(default_factory=dict)
     time_offsets: TimeOffsets | None = None
+    in_room: bool = True  # False where the file says that its metres are of a frame of the solver's own
 
 
 def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
@@ -57,10 +58,10 @@ def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
 
 
 def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
-    """The calibration in metres, where it is or where its unit is given.
+    """The calibration in metres and in the room, where it is or where its unit is given.
 
     Raises:
-        UsageError: its unit is not known, or it has no metric scale at all.
+        UsageError: its unit is not known, it has no metric scale at all, or its frame is not that of the room.
     """
     if saved.unit == UNSTATED and unit is not None:
         return in_metres(saved, unit)
@@ -71,6 +72,11 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
     if saved.unit != "m":
         raise UsageError(
             f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
+        )
+    if not saved.in_room:
+        raise UsageError(
+            f"'{path}' has metres, but neither floor nor up (a target gave its scale); bring it into the room by "
+            "`jaxpoint align`."
         )
     return saved
 
