@@ -42,7 +42,7 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.config import CalibrateSettings, to_toml
 from jaxpoint.errors import JaxpointError, UsageError
-from jaxpoint.simulate.rooms import Room, random_room
+from jaxpoint.simulate.rooms import RandomRoom, random_room
 
 COST_MARGIN = 1.01  # of the reference's cost
 CENTRE_MARGIN = 3.0  # of the reference's error
@@ -203,7 +203,7 @@ def elapsed(started: float) -> float:
     return time.perf_counter() - started
 
 
-def drawn_figures(room: Room, seed: int) -> dict:
+def drawn_figures(room: RandomRoom, seed: int) -> dict:
     """What the room is like."""
     visible = room.tracks.visible
     return {
@@ -229,7 +229,7 @@ def stage_figures(solved: Calibration, reference_cost: float) -> dict:
     }
 
 
-def outlier_figures(room: Room, solved: Calibration) -> dict[str, int]:
+def outlier_figures(room: RandomRoom, solved: Calibration) -> dict[str, int]:
     """Gross outliers found and good observations lost, of those that two other good views of the frame can test."""
     good = room.tracks.visible & ~room.is_outlier
     views = good.sum(axis=1, keepdims=True)
@@ -242,7 +242,7 @@ def outlier_figures(room: Room, solved: Calibration) -> dict[str, int]:
     }
 
 
-def reference(room: Room, settings: CalibrateSettings) -> Settled:
+def reference(room: RandomRoom, settings: CalibrateSettings) -> Settled:
     """The last stage of the calibration, started from the truth."""
     recording = Recording.of(room.tracks)
     distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
@@ -252,7 +252,7 @@ def reference(room: Room, settings: CalibrateSettings) -> Settled:
     )
 
 
-def true_state(room: Room, recording: Recording) -> RigState:
+def true_state(room: RandomRoom, recording: Recording) -> RigState:
     """The truth as the adjustment sees it."""
     count, size = recording.cameras, len(recording.image_sizes)
     base, numbers = np.tile(np.eye(3), (size, 1, 1)), np.zeros((size, size_of(Brown)))
@@ -266,7 +266,7 @@ def true_state(room: Room, recording: Recording) -> RigState:
     return centre_rig(RigState(numbers, base, points), recording.visible, count)
 
 
-def centre_error(room: Room, centres: np.ndarray, points: np.ndarray, placed: np.ndarray) -> tuple[float, bool]:
+def centre_error(room: RandomRoom, centres: np.ndarray, points: np.ndarray, placed: np.ndarray) -> tuple[float, bool]:
     """Rms of the camera centres (mm) after similarity, and whether cameras and light fit better as a mirror image."""
     source = np.concatenate([centres, np.where(placed[:, None], points, 0.0)])
     target = np.concatenate([room.positions, room.points])

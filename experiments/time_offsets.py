@@ -34,7 +34,7 @@ from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import JaxpointError
 from jaxpoint.io.track_files import read_tracks
-from jaxpoint.simulate.rooms import Room, random_room
+from jaxpoint.simulate.rooms import RandomRoom, random_room
 from jaxpoint.tracks import Tracks
 
 TARGET_FRAMES = 0.05
@@ -168,7 +168,7 @@ def mean_px(calibration: Calibration) -> float:
     return float(calibration.errors[calibration.kept].mean())
 
 
-def centres_mm(calibration: Calibration, room: Room) -> float:
+def centres_mm(calibration: Calibration, room: RandomRoom) -> float:
     """Rms error of the camera centres after similarity."""
     with jax.enable_x64(True):
         return align_to_camera_centres(np.asarray(calibration.rig.positions), room.positions).rms_mm

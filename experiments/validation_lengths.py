@@ -27,7 +27,7 @@ from jaxpoint.config import ValidateSettings
 from jaxpoint.errors import JaxpointError
 from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths, locate
 from jaxpoint.simulate.known import KnownRoom
-from jaxpoint.simulate.rooms import ROOM_M, Room, random_room
+from jaxpoint.simulate.rooms import ROOM_M, RandomRoom, random_room
 from jaxpoint.triangulation import triangulate
 from jaxpoint.validation import validate_lengths
 
@@ -96,7 +96,7 @@ def measured_room(seed: int, options: ValidationLengths) -> Row:
     return Row(*drawn, by_landmarks.mean_mm, by_centres.mean_mm, by_landmarks.expected_mean_mm, true_rig_error(known))
 
 
-def furnished(room: Room, seed: int, lengths: int) -> KnownRoom:
+def furnished(room: RandomRoom, seed: int, lengths: int) -> KnownRoom:
     """Landmarks and edges of tables within sight of three cameras (two where there are only three), and clicks."""
     rng = np.random.default_rng(seed)
     landmarks = seen_edges(room, rng, LANDMARKS)[:, 0]
@@ -122,7 +122,7 @@ def furnished(room: Room, seed: int, lengths: int) -> KnownRoom:
     )
 
 
-def seen_edges(room: Room, rng: np.random.Generator, count: int) -> np.ndarray:
+def seen_edges(room: RandomRoom, rng: np.random.Generator, count: int) -> np.ndarray:
     """Both ends (count, 2, 3) of level edges in the room, m."""
     needed = min(3, room.tracks.cameras - 1)
     found = np.zeros((0, 2, 3))
@@ -147,7 +147,7 @@ def landmarks_alignment(solved: Calibration, known: KnownRoom) -> Alignment:
     return align_to_landmarks(points, known.landmarks.points, known.landmarks.sigmas, names=names)
 
 
-def centres_alignment(solved: Calibration, room: Room, seed: int) -> Alignment:
+def centres_alignment(solved: Calibration, room: RandomRoom, seed: int) -> Alignment:
     """By the measured camera centres."""
     rng = np.random.default_rng([seed, 1])
     measured = room.positions + rng.normal(0.0, MEASURED_M, room.positions.shape)

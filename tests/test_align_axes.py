@@ -8,7 +8,7 @@ import pytest
 
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.result import Calibration, Verdict
-from jaxpoint.calibration.upright import Stand, check_size, check_upright
+from jaxpoint.calibration.upright import CameraAxes, check_size, check_upright
 from jaxpoint.commands.align import align
 from jaxpoint.config import AlignSettings
 from jaxpoint.errors import InsufficientDataError
@@ -114,7 +114,7 @@ def test_landmarks_without_a_place_are_left_out_and_named(data_folder, solved, t
         by(solved, tmp_path / "more.csv")
 
 
-def stand(elevation: float, roll: float = 0.0, count: int = 6, height: float = 2.5) -> Stand:
+def stand(elevation: float, roll: float = 0.0, count: int = 6, height: float = 2.5) -> CameraAxes:
     """A ring of cameras that look inwards, so many degrees above level, each rolled about its axis."""
     azimuth = np.linspace(0, 2 * np.pi, count, endpoint=False)
     e, r = np.deg2rad([elevation, roll])
@@ -124,11 +124,11 @@ def stand(elevation: float, roll: float = 0.0, count: int = 6, height: float = 2
     up = np.cos(e) * z + np.sin(e) * out
     right = np.cross(ahead, up)
     up, right = np.cos(r) * up + np.sin(r) * right, np.cos(r) * right - np.sin(r) * up
-    return Stand(3 * out + height * z, right, up, ahead)
+    return CameraAxes(3 * out + height * z, right, up, ahead)
 
 
-def seen_from(one: Stand, turn) -> Stand:
-    return Stand(*(np.stack(turn(*part.T), axis=1) for part in (one.centres, one.right, one.up, one.ahead)))
+def seen_from(one: CameraAxes, turn) -> CameraAxes:
+    return CameraAxes(*(np.stack(turn(*part.T), axis=1) for part in (one.centres, one.right, one.up, one.ahead)))
 
 
 GRID = np.array([313334.1, 5154531.2, 0.0])  # m, UTM

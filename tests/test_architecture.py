@@ -30,7 +30,7 @@ LAYERS = (
     ("io",),
     ("detection",),
     ("report", "simulate"),
-    ("doctor", "runs"),
+    ("environment", "runs"),
     ("commands",),
     ("cli",),
 )

@@ -362,7 +362,7 @@ def test_doctor_examines_this_machine(capsys):
 
 def test_doctor_names_the_extras_of_users_alone(monkeypatch, capsys):
     wanted = [f"{extra}-package; extra == '{extra}'" for extra in ("dev", "docs", "tables")]
-    monkeypatch.setattr("jaxpoint.doctor.requires", lambda name: wanted)
+    monkeypatch.setattr("jaxpoint.environment.requires", lambda name: wanted)
     code, out, _ = run("doctor", "--json", capsys=capsys)
     named = [finding["name"] for finding in json.loads(out)["findings"] if finding["name"].startswith("extra")]
     assert (code, named) == (0, ["extra 'tables'"])

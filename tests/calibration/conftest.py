@@ -14,11 +14,11 @@ from jaxpoint.calibration.recording import Recording, RigState
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
-from jaxpoint.simulate.rooms import Room, random_room
+from jaxpoint.simulate.rooms import RandomRoom, random_room
 from jaxpoint.tracks import Tracks
 
 
-def true_state(room: Room, recording: Recording) -> RigState:
+def true_state(room: RandomRoom, recording: Recording) -> RigState:
     """The true rig as the adjustment writes it."""
     size, count = len(recording.image_sizes), recording.cameras
     numbers, base = np.zeros((size, size_of(Brown))), np.tile(np.eye(3), (size, 1, 1))
@@ -33,7 +33,7 @@ def true_state(room: Room, recording: Recording) -> RigState:
     return RigState(numbers, base, points)
 
 
-def room_fundamental(room: Room, first: int, second: int) -> np.ndarray:
+def room_fundamental(room: RandomRoom, first: int, second: int) -> np.ndarray:
     """F with ray_second^T F ray_first = 0, of ideal image points over half the diagonal about the image centre."""
     half = np.hypot(*room.tracks.image_sizes.T) / 2
     middle = (room.tracks.image_sizes - 1) / 2
@@ -63,11 +63,11 @@ def pinhole():
     drawn = random_room(5, cameras=4, frames=300, layout="around", visibility=0.8, outliers=0.0, noise_px=0.0)
     middle = (drawn.tracks.image_sizes - 1) / 2.0
     lens = {"center": middle, "distortion": np.zeros((4, 5))}
-    room = Room(**{**{name: getattr(drawn, name) for name in drawn.__dataclass_fields__}, **lens})
+    room = RandomRoom(**{**{name: getattr(drawn, name) for name in drawn.__dataclass_fields__}, **lens})
     pixels, inside = room.seen(room.points)
     visible = inside & (np.random.default_rng(0).random(inside.shape) < 0.8)
     tracks = Tracks.from_pixels(pixels, drawn.tracks.image_sizes, visible)
-    room = Room(**{**{name: getattr(room, name) for name in room.__dataclass_fields__}, "tracks": tracks})
+    room = RandomRoom(**{**{name: getattr(room, name) for name in room.__dataclass_fields__}, "tracks": tracks})
     data = normalise_tracks(tracks)
     kept = data.visible & (data.visible.sum(axis=1) >= 2)[:, None]
     shared = data.visible.T.astype(int) @ data.visible.astype(int)
@@ -88,13 +88,13 @@ def pinhole():
     )
 
 
-def ideal_matrices(room: Room) -> np.ndarray:
+def ideal_matrices(room: RandomRoom) -> np.ndarray:
     """K over half the diagonal about the image centre, (C, 3, 3), of cameras whose principal point lies there."""
     half = np.hypot(*room.tracks.image_sizes.T) / 2
     return np.stack([np.diag([f, f, 1.0]) for f in room.focal / half])
 
 
-def poses(room: Room) -> np.ndarray:
+def poses(room: RandomRoom) -> np.ndarray:
     """[R | t] of every camera, (C, 3, 4)."""
     return np.concatenate([room.rotation, room.translation[:, :, None]], axis=2)
 

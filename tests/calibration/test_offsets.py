@@ -91,7 +91,7 @@ def test_the_sigmas_are_those_of_the_dense_normal_equations(solved, state_of):
     state = state_of(room, recording)
     nothing = np.zeros((4, 15))
     freedom = Freedom(Freedom.of(recording, LensSettings(), "none").free, nothing, nothing)
-    judged = timing.Judgement(state, kept, kept, kept)
+    judged = timing.Classified(state, kept, kept, kept)
     sigmas = timing._unit_sigmas(recording, clock, judged, freedom)
     problem, start = timing._problem(recording, clock, state.rebased(), kept, freedom, 1e8)
     free = np.asarray(problem.free)

@@ -5,7 +5,7 @@ import pytest
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import natural_key, parse_table, read_table
-from jaxpoint.io.known_points import read_landmarks
+from jaxpoint.io.survey_files import read_landmarks
 from jaxpoint.io.track_files import read_tracks
 
 NAMES = ("cam_0", "cam_1", "cam_2", "cam_3")

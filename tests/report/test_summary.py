@@ -12,7 +12,7 @@ from jaxpoint.report.figures_scene import bounds, frusta, frustum_lines
 from jaxpoint.report.reading import before_alignment, lens_profile, pixel_slopes
 from jaxpoint.report.summary import (
     GRID,
-    Scene,
+    RigScene,
     cell_means,
     image_coverage,
     kept_curve,
@@ -100,7 +100,7 @@ def test_upright_undoes_any_turn(summary):
 
 
 def test_scene_without_a_single_point_can_be_drawn(summary):
-    empty = Scene(summary.scene.centers, summary.scene.world_from_cam, np.zeros((0, 3)), "arbitrary").upright()
+    empty = RigScene(summary.scene.centers, summary.scene.world_from_cam, np.zeros((0, 3)), "arbitrary").upright()
     low, high = bounds(empty, frusta(empty, summary.sizes, summary.focal, summary.center))
     assert (low < high).all()
 

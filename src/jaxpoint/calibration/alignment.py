@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.calibration.upright import Stand, check_centres, check_upright
+from jaxpoint.calibration.upright import CameraAxes, check_centres, check_upright
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry import rotation as so3
@@ -348,7 +348,7 @@ def _check_floor(
     if rotations is None:
         return check_centres(placed, landmarks)
     turned = np.asarray(rotations) @ np.asarray(similarity.rotation).T
-    return check_upright(Stand.of(placed, turned), landmarks, right_handed=verified)
+    return check_upright(CameraAxes.of(placed, turned), landmarks, right_handed=verified)
 
 
 def _leave_one_out(points: np.ndarray, landmarks: np.ndarray, weights: np.ndarray) -> tuple[float | None, ...]:

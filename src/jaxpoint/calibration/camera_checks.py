@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.contradiction import LEAST_KEPT, kept_shares
-from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, NormalEquations, Step
+from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, GaussNewtonStep, NormalEquations
 from jaxpoint.calibration.result import Calibration, Finding
 from jaxpoint.camera.parameters import FOCAL
 from jaxpoint.config import CalibrateSettings
@@ -86,7 +86,7 @@ def _clocks(calibration: Calibration, normal: NormalEquations) -> Iterator[Findi
             yield _late(calibration.tracks.names[worst], column, float(values[worst]), _spoils(step))
 
 
-def _spoils(step: Step) -> bool:
+def _spoils(step: GaussNewtonStep) -> bool:
     """Whether focal lengths would come out otherwise with all cameras on one clock."""
     change, sigmas = np.abs(step.change[:, FOCAL]), step.sigmas[:, FOCAL]
     return bool(((change > FOCAL_SIGMAS * sigmas) & (change > FOCAL_CHANGE)).any())

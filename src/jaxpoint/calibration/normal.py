@@ -29,7 +29,7 @@ EXTRA = 3  # of them
 
 
 @dataclass(frozen=True)
-class Step:
+class GaussNewtonStep:
     """The Gauss-Newton step under one choice of free parameters, and the covariance there."""
 
     change: Float[np.ndarray, "C q"]
@@ -58,7 +58,7 @@ class NormalEquations:
     parameters: Float[np.ndarray, "C p"]  # where the solution stands; the poses as zeros
     variance: float  # px^2, by which the inverse is to be scaled
 
-    def solve(self, freedom: Freedom, extra: tuple[int, ...] = ()) -> Step:
+    def solve(self, freedom: Freedom, extra: tuple[int, ...] = ()) -> GaussNewtonStep:
         """The step and covariance when these parameters are free, under these priors (weighed for this noise).
 
         Args:
@@ -80,7 +80,7 @@ class NormalEquations:
         change[chosen] = -inverse @ gradient.ravel()[chosen]
         covariance[np.ix_(chosen, chosen)] = self.variance * inverse
         gain = -float(gradient.ravel() @ change) / self.variance
-        return Step(change.reshape(free.shape), covariance, gain)
+        return GaussNewtonStep(change.reshape(free.shape), covariance, gain)
 
 
 def _inverse(matrix: np.ndarray, gauge: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, from_blocks,
 from jaxpoint.calibration.offset_model import OffsetModel
 from jaxpoint.calibration.outliers import (
     GROWING_PX,
-    Judgement,
+    Classified,
     Settled,
     classify_observations,
     refine_to_convergence,
@@ -94,14 +94,14 @@ def _at(tracks: Tracks, good: Bool[np.ndarray, "F C"], offsets) -> tuple[OnClock
     return clock, Recording.of(clock.applied(tracks))
 
 
-def _good(tracks: Tracks, clock: OnClock, judged: Judgement, before: Bool[np.ndarray, "F C"]):
+def _good(tracks: Tracks, clock: OnClock, judged: Classified, before: Bool[np.ndarray, "F C"]):
     """Observations, at the cameras' own frames, that nothing speaks against; as before where nothing new is known."""
     rejected = np.isin(judged.verdicts[: tracks.frames, : tracks.cameras], REJECTED)
     return np.where(clock.back(clock.visible), tracks.visible & ~clock.back(rejected), before)
 
 
 def _adjust(
-    recording: Recording, clock: OnClock, judged: Judgement, freedom: Freedom, loss_scale: float
+    recording: Recording, clock: OnClock, judged: Classified, freedom: Freedom, loss_scale: float
 ) -> tuple[RigState, Float[np.ndarray, " C"]]:
     """The rig, and what is to be added to the offsets."""
     state = judged.state.rebased()
@@ -141,7 +141,7 @@ def _camera_system(model: OffsetModel, start: Unknowns, problem: Problem):
     return diagonal, product
 
 
-def _unit_sigmas(recording: Recording, clock: OnClock, judged: Judgement, freedom: Freedom) -> Float[np.ndarray, " C"]:
+def _unit_sigmas(recording: Recording, clock: OnClock, judged: Classified, freedom: Freedom) -> Float[np.ndarray, " C"]:
     """Standard deviations of the offsets (frames) for pixels of variance 1, cameras and points unknown too.
 
     The observations leave a similarity open; the offsets do not depend on it, so that the inverse over everything

@@ -26,7 +26,7 @@ LEAST_SIGMA_PX = 0.02  # keeps the loss defined on data without noise
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Classified:
     """Points, and a verdict on every observation."""
 
     state: RigState
@@ -37,7 +37,7 @@ class Judgement:
 
 def classify_observations(
     recording: Recording, state: RigState, threshold: float, loss_scale: float | None = None
-) -> Judgement:
+) -> Classified:
     """Points by consensus, refined robustly on all visible observations, then everything judged at `threshold` px.
 
     Points of targets stand where their poses put them, and known points start where they are known to be.
@@ -58,7 +58,7 @@ def classify_observations(
     verdicts[recording.visible & ((recording.visible.sum(axis=1) < 2) & ~held)[:, None]] = Verdict.FEW_VIEWS
     verdicts[~recording.visible] = Verdict.HIDDEN
     verdicts[kept] = Verdict.KEPT
-    return Judgement(placed, kept, verdicts, np.where(visible, errors, 0.0))
+    return Classified(placed, kept, verdicts, np.where(visible, errors, 0.0))
 
 
 def robust_sigma(errors: np.ndarray, kept: np.ndarray, parameters: int, bodies: Bodies | None = None) -> float:
@@ -91,7 +91,7 @@ def robust_cost(recording: Recording, state: RigState) -> float:
     return cost_of(recording, judged, scale)
 
 
-def cost_of(recording: Recording, judged: Judgement, scale: float) -> float:
+def cost_of(recording: Recording, judged: Classified, scale: float) -> float:
     """Cauchy cost of all observations of frames seen twice; one whose frame has no point costs as one far off."""
     alone = recording.visible.sum(axis=1) < 2
     testable = recording.visible & (~alone | held_rows(recording, judged.state))[:, None]
@@ -104,14 +104,14 @@ def cost_of(recording: Recording, judged: Judgement, scale: float) -> float:
 class Settled:
     """A rig whose set of believed observations no longer changes."""
 
-    judged: Judgement
+    judged: Classified
     sigma_px: float
     cost: float
     converged: bool
     rounds: int
 
 
-def refine_coarse_to_fine(recording: Recording, state: RigState, freedom: Freedom) -> Judgement:
+def refine_coarse_to_fine(recording: Recording, state: RigState, freedom: Freedom) -> Classified:
     """Adjust and judge in turn at thresholds that start rough: a rig near its end, and what to believe there."""
     scale = recording.scale
     for threshold in GROWING_PX:
@@ -124,7 +124,7 @@ def refine_coarse_to_fine(recording: Recording, state: RigState, freedom: Freedo
 
 
 def refine_to_convergence(
-    recording: Recording, judged: Judgement, freedom: Freedom, settings: OutlierSettings
+    recording: Recording, judged: Classified, freedom: Freedom, settings: OutlierSettings
 ) -> Settled:
     """Adjust and judge in turn at the noise level until nothing changes.
 

@@ -22,7 +22,7 @@ from jaxpoint.errors import JaxpointError, NotConvergedError, QualityError
 
 
 @dataclass(frozen=True)
-class Check:
+class GateCheck:
     """One figure held against its threshold."""
 
     what: str
@@ -36,7 +36,7 @@ class Check:
 class Quality:
     """What is decided of a calibration."""
 
-    checks: tuple[Check, ...]  # the plain thresholds
+    checks: tuple[GateCheck, ...]  # the plain thresholds
     findings: tuple[Finding, ...]  # causes, the failing ones first
 
     @property
@@ -119,9 +119,9 @@ def _normal(calibration: Calibration) -> NormalEquations | None:
     return normal_equations(calibration) if possible else None
 
 
-def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignSettings) -> Iterator[Check]:
+def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignSettings) -> Iterator[GateCheck]:
     """The plain thresholds of the settings."""
-    yield Check(
+    yield GateCheck(
         SOLVER,
         calibration.message if calibration.converged else f"not converged: {calibration.message}",
         "converged",
@@ -130,7 +130,7 @@ def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignS
     )
     errors = calibration.errors[calibration.kept]
     mean = float(errors.mean()) if errors.size else float("nan")
-    yield Check(
+    yield GateCheck(
         "Mean error of the inliers",
         f"{mean:.3f} px" if errors.size else "no inlier",
         f"at most {settings.max_mean_px:g} px",
@@ -140,7 +140,7 @@ def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignS
         else "no observation was kept",
     )
     share = calibration.kept.sum() / max(calibration.comparable.sum(), 1)
-    yield Check(
+    yield GateCheck(
         "Inliers",
         f"{share:.1%}",
         f"at least {settings.min_kept:.0%}",
@@ -150,7 +150,7 @@ def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignS
     )
     aligned = calibration.alignment
     if aligned is not None:
-        yield Check(
+        yield GateCheck(
             "Alignment to the room, rms",
             f"{aligned.rms_mm:.1f} mm",
             f"at most {align.max_rms_mm:g} mm",
@@ -158,7 +158,7 @@ def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignS
             f"the alignment leaves {aligned.rms_mm:.0f} mm (rms), above the {align.max_rms_mm:g} mm allowed",
         )
         verified = aligned.handedness_verified
-        yield Check(
+        yield GateCheck(
             "Handedness (mirror image ruled out)",
             "verified" if verified else "not verified: the known points lie on a plane",
             "verified",

@@ -34,7 +34,7 @@ TURNS = {
 
 
 @dataclass(frozen=True)
-class Stand:
+class CameraAxes:
     """How C cameras stand in the room."""
 
     centres: Float[np.ndarray, "C 3"]  # m
@@ -43,16 +43,16 @@ class Stand:
     ahead: Float[np.ndarray, "C 3"]  # unit, the optical axis
 
     @staticmethod
-    def of(centres: Float[np.ndarray, "C 3"], rotations: Float[np.ndarray, "C 3 3"]) -> Stand:
+    def of(centres: Float[np.ndarray, "C 3"], rotations: Float[np.ndarray, "C 3 3"]) -> CameraAxes:
         """From centres (m) and rotations from the room to the cameras."""
-        return Stand(centres, rotations[:, 0], -rotations[:, 1], rotations[:, 2])
+        return CameraAxes(centres, rotations[:, 0], -rotations[:, 1], rotations[:, 2])
 
     def votes(self, axis: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " C"]:
         """The cameras whose images are upright where `axis` points up."""
         return (np.abs(self.right @ axis) < LEVEL) & (self.up @ axis > UPRIGHT)
 
 
-def check_upright(stand: Stand, known: Float[np.ndarray, "N 3"], right_handed: bool = False) -> tuple[str, ...]:
+def check_upright(stand: CameraAxes, known: Float[np.ndarray, "N 3"], right_handed: bool = False) -> tuple[str, ...]:
     """Refuse a room in which the cameras do not stand upright above the floor; warnings where that is in doubt.
 
     Args:
@@ -100,7 +100,7 @@ def check_centres(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N
             f"{_below(below, len(centres), floor)}. {TURNS['-z']}{_OR_MIRROR}, in the file of known points."
         )
     unturned = np.zeros_like(centres)
-    return _lower(Stand(centres, unturned, unturned, unturned), known)
+    return _lower(CameraAxes(centres, unturned, unturned, unturned), known)
 
 
 def check_size(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N 3"], largest_m: float) -> tuple[str, ...]:
@@ -134,7 +134,7 @@ def _most(votes: Bool[np.ndarray, " C"]) -> bool:
     return 2 * int(votes.sum()) > len(votes)
 
 
-def _other_up(stand: Stand, known: Float[np.ndarray, "N 3"]) -> str | None:
+def _other_up(stand: CameraAxes, known: Float[np.ndarray, "N 3"]) -> str | None:
     """The direction other than z along which most images are upright; a level one only with the cameras high on it."""
     for name in TURNS:
         axis = np.zeros(3)
@@ -150,7 +150,7 @@ def _below(below: int, count: int, floor: float) -> str:
     return f"{below} of {count} cameras come out below the floor ({where})"
 
 
-def _lower(stand: Stand, known: Float[np.ndarray, "N 3"]) -> tuple[str, ...]:
+def _lower(stand: CameraAxes, known: Float[np.ndarray, "N 3"]) -> tuple[str, ...]:
     """A warning where most cameras are lower than what is known."""
     lower = int((stand.centres[:, 2] < known[:, 2].mean()).sum())
     if 2 * lower > len(stand.centres):

@@ -69,7 +69,7 @@ def align(calibration: Calibration, settings: AlignSettings) -> Calibration:
     """
     from jaxpoint.calibration.covariance import aligned_with_covariance
     from jaxpoint.calibration.upright import check_size
-    from jaxpoint.io.known_points import read_landmark_pixels
+    from jaxpoint.io.survey_files import read_landmark_pixels
     from jaxpoint.landmarks import CLICK_SIGMA_PX
 
     kinds = [settings.landmarks is not None, settings.camera_centres is not None, bool(settings.floor)]
@@ -89,7 +89,7 @@ def _by_landmarks(
 ) -> tuple[Alignment, Landmarks]:
     """By points whose place is known; those that the calibration does not have are left out."""
     from jaxpoint.calibration.alignment import align_to_landmarks
-    from jaxpoint.io.known_points import read_landmarks
+    from jaxpoint.io.survey_files import read_landmarks
     from jaxpoint.landmarks import locate_some
 
     assert settings.landmarks is not None
@@ -106,7 +106,7 @@ def _by_centres(
 ) -> tuple[Alignment, Landmarks]:
     """By known places of cameras; some may be missing."""
     from jaxpoint.calibration.alignment import align_to_camera_centres
-    from jaxpoint.io.known_points import read_camera_centres
+    from jaxpoint.io.survey_files import read_camera_centres
     from jaxpoint.landmarks import locate
 
     assert settings.camera_centres is not None

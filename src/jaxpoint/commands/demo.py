@@ -17,7 +17,7 @@ from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv, user_cache
 from jaxpoint.commands.options import Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig, load_config
-from jaxpoint.config.point import PointSettings, RoomExtent
+from jaxpoint.config.gesture import PointSettings, RoomExtent
 from jaxpoint.errors import QualityError
 from jaxpoint.extras import extra
 
@@ -206,7 +206,7 @@ def _tape_mm(path: Path, true_rig) -> float:
     """How far the measured places are from where the cameras are, mean."""
     import numpy as np
 
-    from jaxpoint.io.known_points import read_camera_centres
+    from jaxpoint.io.survey_files import read_camera_centres
 
     known = read_camera_centres(path, true_rig.names)
     return float(1e3 * np.linalg.norm(known.points - np.asarray(true_rig.positions), axis=1).mean())

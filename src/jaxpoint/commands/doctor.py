@@ -25,7 +25,7 @@ class Doctor(SeededOptions):
 
     def run(self, console: Console) -> Outcome:
         """All findings; something needed that is missing is a failure of the outcome."""
-        from jaxpoint.doctor import examine
+        from jaxpoint.environment import examine
 
         check_no_out(self.out)
         findings = examine()

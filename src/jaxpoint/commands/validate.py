@@ -108,7 +108,7 @@ def _against_halves(run: Run, settings: ValidateSettings, console: Console) -> F
 
 
 def _lengths(run: Run, settings: ValidateSettings) -> LengthValidation:
-    from jaxpoint.io.known_points import read_landmark_pixels, read_lengths
+    from jaxpoint.io.survey_files import read_landmark_pixels, read_lengths
     from jaxpoint.validation import validate_lengths
 
     assert settings.lengths is not None

@@ -9,7 +9,7 @@ from .calibration import (
     write_calibration_toml as write_calibration_toml,
 )
 from .head_files import read_heads as read_heads, save_heads as save_heads
-from .known_points import (
+from .survey_files import (
     read_camera_centres as read_camera_centres,
     read_landmark_pixels as read_landmark_pixels,
     read_landmarks as read_landmarks,

@@ -15,7 +15,7 @@ OFF_CLOCK = 0.25  # of a period: cameras a tenth of whose frames lie further fro
 
 
 @dataclass(frozen=True)
-class Clock:
+class CommonClock:
     """Which frame of every camera belongs to which tick of a common clock."""
 
     period: float  # from tick to tick, in the unit of the times
@@ -27,7 +27,7 @@ class Clock:
     other_rate: Bool[np.ndarray, " C"]  # cameras whose frames drift through the ticks
 
 
-def common_clock(times: Sequence[Float[np.ndarray, " _"]]) -> Clock:
+def common_clock(times: Sequence[Float[np.ndarray, " _"]]) -> CommonClock:
     """The nearest frame of every camera to each tick, at most half a period away; gaps stay gaps.
 
     The clock runs at the middle rate of the cameras, those left out that are faster by half or more. A camera
@@ -49,7 +49,7 @@ def common_clock(times: Sequence[Float[np.ndarray, " _"]]) -> Clock:
     for camera, (own, frames) in enumerate(zip(ticks, kept)):
         index[np.searchsorted(rows, np.round(own[frames])), camera] = frames
     off = [_far(own[frames] - np.round(own[frames])) for own, frames in zip(ticks, kept)]
-    return Clock(period, rows - rows[0], index, tuple(own - rows[0] for own in ticks), np.array(off))
+    return CommonClock(period, rows - rows[0], index, tuple(own - rows[0] for own in ticks), np.array(off))
 
 
 def period_of(times: Float[np.ndarray, " F"]) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.clock import Clock, common_clock, period_of
+from jaxpoint.io.clock import CommonClock, common_clock, period_of
 from jaxpoint.io.frame_names import NameColumn
 from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.pairing import NUMBER, PairBy, Pairing
@@ -114,7 +114,7 @@ def _by_time(columns: tuple[NameColumn, ...]) -> _Way:
     return _Way(columns, pairing, _share(clock.index))
 
 
-def _notes(clock: Clock) -> tuple[str, ...]:
+def _notes(clock: CommonClock) -> tuple[str, ...]:
     count = int(clock.other_rate.sum())
     if not count:
         return ()

@@ -13,7 +13,7 @@ from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.report.advice import Advice
-from jaxpoint.report.summary import Scene, Summary
+from jaxpoint.report.summary import RigScene, Summary
 from jaxpoint.report.tables import Table
 
 HEAD_M = 1.7  # height of a standing person's head
@@ -24,7 +24,7 @@ BEST = 3  # places named
 
 
 @dataclass(frozen=True)
-class Plane:
+class ErrorMap:
     """The expected error on a level plane, on a grid of Y by X cells."""
 
     title: str
@@ -38,8 +38,8 @@ class Plane:
 class Accuracy:
     """What the covariance of a calibration means in the room."""
 
-    scene: Scene  # in the room, or turned upright
-    planes: tuple[Plane, ...]
+    scene: RigScene  # in the room, or turned upright
+    planes: tuple[ErrorMap, ...]
     mean: float  # expected error over the volume of the light; mm, or thousandths of the unit
     share: float  # of the calibration in its square
     sigma_px: float
@@ -77,7 +77,7 @@ def accuracy_of(calibration: Calibration, summary: Summary) -> Accuracy | None:
     for title, height in _heights(scene):
         x, y, grid = _grid(scene, height)
         found, shape = expected_error(*about, in_rig(grid)), (len(y), len(x))
-        planes.append(Plane(title, x, y, found.seen.sum(axis=1).reshape(shape), 1e3 * found.total.reshape(shape)))
+        planes.append(ErrorMap(title, x, y, found.seen.sum(axis=1).reshape(shape), 1e3 * found.total.reshape(shape)))
     boxes = boxes_of(low, high)
     light = eighths(boxes)[:, _of_eight(len(calibration.rig))]
     better = gains(*about, variance_px2(calibration), places, in_rig(light))
@@ -105,7 +105,7 @@ def _spread(low: np.ndarray, high: np.ndarray) -> Float[np.ndarray, "P 3"]:
     return low + np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3) * (high - low)
 
 
-def _heights(scene: Scene) -> list[tuple[str, float]]:
+def _heights(scene: RigScene) -> list[tuple[str, float]]:
     """The two planes: floor and head height, or low and high in the light's path where there is no floor."""
     if scene.in_room:
         return [("On the floor", 0.0), (f"At head height, {HEAD_M:g} m", HEAD_M)]
@@ -113,7 +113,7 @@ def _heights(scene: Scene) -> list[tuple[str, float]]:
     return [("Low in the light's path", float(low)), ("High in the light's path", float(high))]
 
 
-def _grid(scene: Scene, height: float) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "P 3"]]:
+def _grid(scene: RigScene, height: float) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, "P 3"]]:
     """Middles of the cells of a plane that holds all cameras and the light, and their places, row by row."""
     low, high = (end[:2] for end in scene.reach(0.01))
     margin = 0.04 * (high - low).max()

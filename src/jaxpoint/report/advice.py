@@ -13,7 +13,7 @@ from jaxpoint.calibration.clock_findings import HELD, Timing, cause, contradicts
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
 from jaxpoint.report.gathered import edge_of_lens, gathered_place, gathered_time
-from jaxpoint.report.summary import GRID, Lens, Scene, Summary, cell_means, image_coverage
+from jaxpoint.report.summary import GRID, Lens, RigScene, Summary, cell_means, image_coverage
 from jaxpoint.report.sync import time_offsets
 from jaxpoint.tracks import Tracks
 
@@ -255,7 +255,7 @@ def _when(clock: CameraClock) -> str:
     return "late" if clock.offset_frames > 0 else "early"
 
 
-def on_space(names: Sequence[str], scene: Scene) -> Iterator[Advice]:
+def on_space(names: Sequence[str], scene: RigScene) -> Iterator[Advice]:
     """A light that stayed on a plane, or a quarter of the covered volume that it hardly visited."""
     scene = scene if scene.in_room else scene.upright()
     if len(scene.points) < 20:

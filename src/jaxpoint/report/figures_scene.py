@@ -13,13 +13,13 @@ from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 
 from jaxpoint.report.style import INK, PAGE, camera_colors, quiet_axes
-from jaxpoint.report.summary import Scene
+from jaxpoint.report.summary import RigScene
 
 _FRUSTUM = (0.22, 0.06)  # depth of a drawn field of view, as fractions of the rig's and of the whole scene's size
 
 
 def frusta(
-    scene: Scene, sizes: Int[np.ndarray, "C 2"], focal: Float[np.ndarray, "C 2"], center: Float[np.ndarray, "C 2"]
+    scene: RigScene, sizes: Int[np.ndarray, "C 2"], focal: Float[np.ndarray, "C 2"], center: Float[np.ndarray, "C 2"]
 ) -> Float[np.ndarray, "C 5 3"]:
     """Tip and four image corners (clockwise from the top left) of each camera's field of view, undistorted."""
     unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -38,7 +38,7 @@ def frustum_lines(cones: Float[np.ndarray, "C 5 3"]) -> Float[np.ndarray, "C 8 2
     return np.concatenate([np.stack([tip, corner], 2), np.stack([corner, np.roll(corner, -1, axis=1)], 2)], axis=1)
 
 
-def bounds(scene: Scene, cones: Float[np.ndarray, "C 5 3"]) -> tuple[np.ndarray, np.ndarray]:
+def bounds(scene: RigScene, cones: Float[np.ndarray, "C 5 3"]) -> tuple[np.ndarray, np.ndarray]:
     """Lowest and highest coordinates of the cameras' fields of view and nearly all of the path (but no wild points)."""
     drawn = cones.reshape(-1, 3)
     low, high = scene.reach(0.005)
@@ -47,7 +47,7 @@ def bounds(scene: Scene, cones: Float[np.ndarray, "C 5 3"]) -> tuple[np.ndarray,
     return low - margin, high + margin
 
 
-def rig_views(scenes: list[tuple[str, Scene]], names: tuple[str, ...], cones: list[np.ndarray]) -> Figure:
+def rig_views(scenes: list[tuple[str, RigScene]], names: tuple[str, ...], cones: list[np.ndarray]) -> Figure:
     """The rig in 3-D with fields of view, names and the light's path: the thesis's figures 27 and 28."""
     figure = Figure(figsize=(PAGE, 5.0 if len(scenes) > 1 else 6.0))
     wide = 1.0 / len(scenes)
@@ -59,7 +59,7 @@ def rig_views(scenes: list[tuple[str, Scene]], names: tuple[str, ...], cones: li
     return figure
 
 
-def _solid_view(ax: Axes3D, scene: Scene, names: tuple[str, ...], cones: np.ndarray) -> None:
+def _solid_view(ax: Axes3D, scene: RigScene, names: tuple[str, ...], cones: np.ndarray) -> None:
     low, high = bounds(scene, cones)
     inside = scene.points[((scene.points >= low) & (scene.points <= high)).all(axis=1)]
     ax.scatter(*inside.T, s=2, c="#3b82d0", alpha=0.45, lw=0, depthshade=False, rasterized=True)
@@ -77,7 +77,7 @@ def _solid_view(ax: Axes3D, scene: Scene, names: tuple[str, ...], cones: np.ndar
 
 
 def coverage_in_space(
-    scene: Scene, seen_by: Int[np.ndarray, " P"], names: tuple[str, ...], cones: np.ndarray
+    scene: RigScene, seen_by: Int[np.ndarray, " P"], names: tuple[str, ...], cones: np.ndarray
 ) -> Figure:
     """Floor plan and side view of the light's positions, coloured by the number of cameras that saw them."""
     low, high = bounds(scene, cones)
@@ -96,7 +96,7 @@ def coverage_in_space(
     return figure
 
 
-def _flat_view(ax: Axes, axis: int, scene: Scene, seen_by, names, cones):
+def _flat_view(ax: Axes, axis: int, scene: RigScene, seen_by, names, cones):
     keep = [0, axis]
     dots = ax.scatter(
         *scene.points[:, keep].T, s=7, c=seen_by, cmap="viridis_r", vmin=1.5, vmax=len(names) + 0.5, alpha=0.8, lw=0,
@@ -114,5 +114,5 @@ def _flat_view(ax: Axes, axis: int, scene: Scene, seen_by, names, cones):
     return dots
 
 
-def _label(axis: str, scene: Scene) -> str:
+def _label(axis: str, scene: RigScene) -> str:
     return f"{axis}, m" if scene.unit == "m" else f"{axis}, solver's unit"

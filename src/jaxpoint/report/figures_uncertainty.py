@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from jaxpoint.calibration.result import Calibration
-from jaxpoint.report.accuracy import Accuracy, Plane, camera_table, frame_note, sentence
+from jaxpoint.report.accuracy import Accuracy, ErrorMap, camera_table, frame_note, sentence
 from jaxpoint.report.style import BAD, FAINT, INK, PAGE, camera_colors, short_names, to_svg
 from jaxpoint.report.summary import Summary
 
@@ -78,7 +78,9 @@ def error_levels(accuracy: Accuracy) -> list[float]:
     return [float(f"{level:.6g}") for level in ladder[first : last + 1]]
 
 
-def _map(ax: Axes, plane: Plane, levels: list[float], norm: BoundaryNorm, accuracy: Accuracy, names: tuple[str, ...]):
+def _map(
+    ax: Axes, plane: ErrorMap, levels: list[float], norm: BoundaryNorm, accuracy: Accuracy, names: tuple[str, ...]
+):
     known = np.isfinite(plane.error)
     error = np.ma.masked_where(~known, plane.error)
     drawn = ax.pcolormesh(

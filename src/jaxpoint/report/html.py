@@ -25,7 +25,7 @@ from jaxpoint.report.accuracy import accuracy_of, on_accuracy
 from jaxpoint.report.advice import ENOUGH_SHARED, Advice, advise, advise_on_tracks
 from jaxpoint.report.reading import before_alignment, summarise
 from jaxpoint.report.style import camera_colors, round_number, short_names, style, to_data_uri, to_svg
-from jaxpoint.report.summary import Scene, Summary, px
+from jaxpoint.report.summary import RigScene, Summary, px
 from jaxpoint.report.verdict import advice_of, judge_summary, judge_tracks
 from jaxpoint.tracks import Tracks
 
@@ -182,7 +182,7 @@ def write_detection_section(path: StrPath, sheets: Sheets, *, title: str = "Dete
     write_page(path, page)
 
 
-def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Markup]:
+def _figures(summary: Summary, scenes: list[tuple[str, RigScene]]) -> dict[str, Markup]:
     """Every figure of the calibration report, by name."""
     names = short_names(summary.names)
     summary = replace(summary, names=names)
@@ -202,7 +202,7 @@ def _figures(summary: Summary, scenes: list[tuple[str, Scene]]) -> dict[str, Mar
     return {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
 
 
-def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, Scene]]:
+def _scenes(summary: Summary, alignment: Alignment | None) -> list[tuple[str, RigScene]]:
     """The rig as solved and, once aligned, in the room; alone, the solved one is turned upright to be readable."""
     if alignment is None:
         room = summary.scene if summary.scene.in_room else summary.scene.upright()
@@ -304,7 +304,7 @@ def _rig_caption(alignment: Alignment | None) -> str:
     return "Left: as solved, where axes and unit mean nothing yet. Right: after alignment, in metres, z up."
 
 
-def _space_caption(scene: Scene) -> str:
+def _space_caption(scene: RigScene) -> str:
     text = (
         "Places of the light, darker where more cameras agree on them. The calibration is sure where dots are dense "
         "and dark; where there are none it extrapolates."
@@ -312,7 +312,7 @@ def _space_caption(scene: Scene) -> str:
     return text if scene.unit == "m" else text + " Upright is guessed from the cameras."
 
 
-def _rig_data(scenes: list[tuple[str, Scene]], summary: Summary) -> Markup:
+def _rig_data(scenes: list[tuple[str, RigScene]], summary: Summary) -> Markup:
     """The scenes as JSON for the interactive view, safe inside a script element."""
     data = []
     for title, scene in scenes:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.compilation import jit_once
-from jaxpoint.report.summary import Lens, Scene, Summary
+from jaxpoint.report.summary import Lens, RigScene, Summary
 
 _STEPS = 400
 _DIRECTIONS = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
@@ -24,7 +24,7 @@ def summarise(calibration: Calibration) -> Summary:
     pose, valid = cameras.cam_from_world, np.asarray(calibration.point_valid)
     rotation, translation = np.asarray(pose.rotation), np.asarray(pose.translation)
     focal, center = np.asarray(cameras.focal), np.asarray(cameras.center)
-    scene = Scene(
+    scene = RigScene(
         centers=-np.einsum("cji,cj->ci", rotation, translation),
         world_from_cam=np.swapaxes(rotation, 1, 2),
         points=np.asarray(calibration.points)[valid],
@@ -101,7 +101,7 @@ def pixel_slopes(
     return scale[..., None] * (rotation[:, :2] - towards[..., None] * rotation[:, 2:])
 
 
-def before_alignment(scene: Scene, similarity) -> Scene:
+def before_alignment(scene: RigScene, similarity) -> RigScene:
     """The scene in the solver's own frame, given the similarity (`geometry.pose.Similarity`) that led it out of it."""
     scale, rotation = float(similarity.scale), np.asarray(similarity.rotation)
     translation = np.asarray(similarity.translation)

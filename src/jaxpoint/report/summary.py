@@ -14,7 +14,7 @@ BEST = 0.92  # the fraction of observations beside all of them at which mean err
 
 
 @dataclass(frozen=True)
-class Scene:
+class RigScene:
     """Cameras and the light's path in one frame of reference."""
 
     centers: Float[np.ndarray, "C 3"]
@@ -37,9 +37,9 @@ class Scene:
         ends = np.quantile(self.points, [outside, 1 - outside], axis=0)
         return np.minimum(low, ends[0]), np.maximum(high, ends[1])
 
-    def moved(self, scale: float, rotation: np.ndarray, translation: np.ndarray, unit: str) -> Scene:
+    def moved(self, scale: float, rotation: np.ndarray, translation: np.ndarray, unit: str) -> RigScene:
         """The scene after x -> scale * rotation @ x + translation."""
-        return Scene(
+        return RigScene(
             scale * self.centers @ rotation.T + translation,
             rotation @ self.world_from_cam,
             scale * self.points @ rotation.T + translation,
@@ -57,7 +57,7 @@ class Scene:
         rotation = np.stack([x, np.cross(up, x), up])
         return rotation, -rotation @ np.median(everything, axis=0)
 
-    def upright(self) -> Scene:
+    def upright(self) -> RigScene:
         """The scene turned so."""
         return self.moved(1.0, *self.levelling(), self.unit)
 
@@ -94,7 +94,7 @@ class Summary:
     distortion: Float[np.ndarray, "C K"]  # the lens model's coefficients
     lens_model: str  # its name
     view_deg: Float[np.ndarray, " C"]  # between what the middles of the left and right edges see
-    scene: Scene
+    scene: RigScene
     lens: Lens
 
     @property

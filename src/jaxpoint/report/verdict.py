@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxpoint.calibration.pairs import MIN_FRAMES
-from jaxpoint.calibration.quality import Check, Quality
+from jaxpoint.calibration.quality import GateCheck, Quality
 from jaxpoint.calibration.result import Finding, Level, PairTable
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.report.advice import ENOUGH_COVERAGE, ENOUGH_SHARED, Advice
@@ -23,7 +23,7 @@ class Judgement:
     level: Level
     title: str
     sentence: str
-    checks: list[Check]
+    checks: list[GateCheck]
 
 
 def judge_summary(summary: Summary, quality: Quality, advice: list[Advice], settings: CalibrateSettings) -> Judgement:
@@ -52,7 +52,7 @@ def advice_of(findings: Sequence[Finding]) -> list[Advice]:
     return [Advice(item.finding, f"{item.remedy.rstrip('.')}.", urgent=item.level == "bad") for item in findings]
 
 
-def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
+def _warnings(summary: Summary, settings: CalibrateSettings) -> list[GateCheck]:
     """What does not fail a calibration but makes it doubtful."""
     names, seen = summary.names, np.maximum(summary.comparable.sum(axis=0), 1)
     kept = summary.kept.sum(axis=0) / seen
@@ -60,16 +60,16 @@ def _warnings(summary: Summary, settings: CalibrateSettings) -> list[Check]:
     worst, fewest = int(np.argmax(np.nan_to_num(means, nan=np.inf))), int(kept.argmin())
     limit = settings.max_mean_px
     return [
-        Check("Worst camera", f"{names[worst]}, {px(means[worst])}", f"at most {limit:g} px",
+        GateCheck("Worst camera", f"{names[worst]}, {px(means[worst])}", f"at most {limit:g} px",
               "good" if means[worst] <= limit else "care"),
-        Check("Fewest kept in a camera", f"{names[fewest]}, {kept[fewest]:.1%}", f"at least {settings.min_kept:.0%}",
-              "good" if kept[fewest] >= settings.min_kept else "care"),
+        GateCheck("Fewest kept in a camera", f"{names[fewest]}, {kept[fewest]:.1%}",
+              f"at least {settings.min_kept:.0%}", "good" if kept[fewest] >= settings.min_kept else "care"),
         *_connections(names, summary.shared),
         *_coverage(names, summary.pixels, summary.visible, summary.sizes),
     ]  # fmt: skip
 
 
-def _connections(names: Sequence[str], shared: np.ndarray) -> list[Check]:
+def _connections(names: Sequence[str], shared: np.ndarray) -> list[GateCheck]:
     """The camera that shares fewest frames with its second best partner (with its only one in a rig of two)."""
     partners = shared.copy()
     np.fill_diagonal(partners, 0)
@@ -77,7 +77,7 @@ def _connections(names: Sequence[str], shared: np.ndarray) -> list[Check]:
     alone = int(second.argmin())
     others = "two others" if len(names) > 2 else "the other"
     return [
-        Check(
+        GateCheck(
             f"Least connected camera, frames shared with {others}",
             f"{names[alone]}, {second[alone]:,}",
             f"at least {ENOUGH_SHARED}",
@@ -86,12 +86,12 @@ def _connections(names: Sequence[str], shared: np.ndarray) -> list[Check]:
     ]
 
 
-def _coverage(names: Sequence[str], pixels: np.ndarray, visible: np.ndarray, sizes: np.ndarray) -> list[Check]:
+def _coverage(names: Sequence[str], pixels: np.ndarray, visible: np.ndarray, sizes: np.ndarray) -> list[GateCheck]:
     """The camera whose light visited the fewest cells of its image."""
     covered = (image_coverage(pixels, visible, sizes) > 0).mean(axis=(1, 2))
     narrow = int(covered.argmin())
     return [
-        Check(
+        GateCheck(
             "Least covered image",
             f"{names[narrow]}, {covered[narrow]:.0%}",
             f"at least {ENOUGH_COVERAGE:.0%}",
@@ -109,7 +109,7 @@ def judge_tracks(tracks: Tracks, pairs: PairTable, advice: list[Advice], problem
     names = tracks.names
     usable = int((tracks.visible.sum(axis=1) >= 2).sum())
     checks = [
-        Check("Frames seen by two or more cameras", f"{usable:,}", f"at least {MIN_FRAMES}",
+        GateCheck("Frames seen by two or more cameras", f"{usable:,}", f"at least {MIN_FRAMES}",
               "good" if usable >= MIN_FRAMES else "bad"),
         *_connections(names, pairs.shared),
         *_coverage(names, tracks.pixels, tracks.visible, tracks.image_sizes),

@@ -12,7 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxpoint.simulate.rooms import ROOM_M, Room, random_room
+from jaxpoint.simulate.rooms import ROOM_M, RandomRoom, random_room
 
 Meeting = Literal["pass", "cross", "overtake", "turn back"]
 FRAME_RATE = 12.5  # frames per second
@@ -25,7 +25,7 @@ _REACH_M = 2.0  # people walk this far from where they meet, and stop
 class Heads:
     """Heads of P people seen by C cameras, K candidates at most in each view."""
 
-    room: Room
+    room: RandomRoom
     times: Float[np.ndarray, " F"]  # s
     places: Float[np.ndarray, "F P 3"]  # m, the truth
     pixels: Float[np.ndarray, "F C K 2"]  # px, in no order
@@ -96,7 +96,7 @@ def _walked(moments, speed, back: bool) -> np.ndarray:
     return -_REACH_M * np.tanh(speed / _REACH_M * (np.sqrt(away**2 + 0.3**2) - 0.3))
 
 
-def _seen(rng, room: Room, times, places, noise_px, misses, clutter) -> Heads:
+def _seen(rng, room: RandomRoom, times, places, noise_px, misses, clutter) -> Heads:
     frames, people, _ = places.shape
     exact, in_view = room.seen(places.reshape(-1, 3))
     cameras = exact.shape[1]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxpoint.landmarks import LandmarkPixels, Landmarks, Lengths
-from jaxpoint.simulate.rooms import ROOM_M, Room
+from jaxpoint.simulate.rooms import ROOM_M, RandomRoom
 
 CLICK_PX = 0.5  # standard deviation of a clicked coordinate
 TAPE_M = 0.002  # standard deviation of a measured coordinate or length
@@ -17,13 +17,13 @@ TAPE_M = 0.002  # standard deviation of a measured coordinate or length
 class KnownRoom:
     """A simulated room and what was measured in it."""
 
-    room: Room
+    room: RandomRoom
     landmarks: Landmarks
     clicks: LandmarkPixels  # the landmarks, then the ends of the lengths
     lengths: Lengths
 
 
-def known_in(room: Room, seed: int, landmarks: int = 8, lengths: int = 12) -> KnownRoom:
+def known_in(room: RandomRoom, seed: int, landmarks: int = 8, lengths: int = 12) -> KnownRoom:
     """Landmarks and lengths within reach of the cameras, measured by tape (2 mm) and clicked (0.5 px).
 
     No length ends at a landmark. Points are drawn until three or more cameras see each.
@@ -51,7 +51,7 @@ def known_in(room: Room, seed: int, landmarks: int = 8, lengths: int = 12) -> Kn
     )
 
 
-def _seen_points(room: Room, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _seen_points(room: RandomRoom, rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points (N, 3) in the room that three cameras see (two where there are no more), their pixels and visibility."""
     found = []
     needed = min(3, room.tracks.cameras - 1)

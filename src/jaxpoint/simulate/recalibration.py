@@ -19,7 +19,7 @@ from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.config import LensSettings
-from jaxpoint.simulate.rooms import Room, displaced_pixel, random_room
+from jaxpoint.simulate.rooms import RandomRoom, displaced_pixel, random_room
 from jaxpoint.tracks import Tracks
 
 LANDMARKS, PLACES = 6, 40
@@ -30,7 +30,7 @@ WALKED_M = np.array([[0.8, 0.8, 0.3], [5.2, 4.2, 2.2]])  # where places lie, m
 class Recalibrated:
     """One room, its landmarks and places, and what its cameras see without noise. C cameras, F frames."""
 
-    room: Room
+    room: RandomRoom
     exact: np.ndarray  # (F, C, 2) px
     visible: np.ndarray  # (F, C)
     landmarks: np.ndarray  # (6, 3) m
@@ -51,7 +51,7 @@ class Recalibrated:
         chosen = np.arange(frames) if frames >= 60 else seen_often
         places = seen_places(room, np.random.default_rng(seed), LANDMARKS + PLACES)
         pixels, visible = room.seen(places[:LANDMARKS])
-        cut = Room(**{**vars(room), "points": room.points[chosen]})
+        cut = RandomRoom(**{**vars(room), "points": room.points[chosen]})
         return Recalibrated(
             cut, exact[chosen], room.tracks.visible[chosen], places[:LANDMARKS], pixels, visible, places[LANDMARKS:],
             noise_px, outliers,
@@ -90,7 +90,7 @@ class Recalibrated:
         return calibration_of(self, tracks, recording, self.true_state(recording), self.noise_px, None)
 
 
-def seen_places(room: Room, rng: np.random.Generator, count: int) -> np.ndarray:
+def seen_places(room: RandomRoom, rng: np.random.Generator, count: int) -> np.ndarray:
     """Places (count, 3), m, that three cameras see; two where there are three."""
     needed = min(3, room.tracks.cameras - 1)
     drawn = rng.uniform(WALKED_M[0], WALKED_M[1], (100 * count, 3))

@@ -21,7 +21,7 @@ MIN_SHARED = 30  # frames that every camera shares with at least two others
 
 
 @dataclass(frozen=True)
-class Room:
+class RandomRoom:
     """A simulated recording and its truth. Arrays of C cameras and F frames; metres, pixels, world z up."""
 
     tracks: Tracks
@@ -72,7 +72,7 @@ def random_room(
     noise_px: float | None = None,
     stride: int = 6,
     time_offsets: Float[np.ndarray, " C"] | None = None,
-) -> Room:
+) -> RandomRoom:
     """One random room; what is not given is drawn from `seed`.
 
     Args:
@@ -108,7 +108,7 @@ def random_room(
     )
 
 
-def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Room:
+def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> RandomRoom:
     """One room, not yet checked for how much its cameras share."""
     frames = wave[0]
     focal = rng.uniform(500.0, 1500.0, cameras)
@@ -131,7 +131,7 @@ def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Ro
         pixels[frame, camera] = displaced_pixel(rng, lens, shown[frame], exact[frame, camera], camera, other, noise)
     sizes = np.tile(np.array(IMAGE_PX), (cameras, 1))
     tracks = Tracks.from_pixels(pixels, sizes, visible, times=np.arange(frames) / 25.0)
-    return Room(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), offsets)
+    return RandomRoom(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), offsets)
 
 
 def _random_lens(rng, focal) -> np.ndarray:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from jaxpoint.simulate.mesh import Mesh
 from jaxpoint.simulate.people.body import Body, make_body
-from jaxpoint.simulate.people.body_pose import ArmPose, Pose
+from jaxpoint.simulate.people.body_pose import ArmPose, BodyPose
 from jaxpoint.simulate.people.gesture import Gesture
 from jaxpoint.simulate.people.rest import Rest, resting, swung
 from jaxpoint.simulate.people.rotations import Vector, smooth, turned_towards, unit, yawed
@@ -89,7 +89,7 @@ class Actor:
         move = next((move for move in self.moves if time <= move.end_s), self.moves[-1])
         return move.stance(min(max(time, move.start_s), move.end_s))
 
-    def pose(self, time: float) -> Pose:
+    def pose(self, time: float) -> BodyPose:
         """Everything the bones follow from."""
         stance = self.stance(time)
         arms, raised = {}, {}
@@ -102,7 +102,7 @@ class Actor:
         pose = pose_of(stance, twist, yawed(stance.yaw) @ AHEAD, arms, raised)
         return replace(pose, gaze=self._gaze(time, pose))
 
-    def _gaze(self, time: float, pose: Pose) -> Vector:
+    def _gaze(self, time: float, pose: BodyPose) -> Vector:
         gaze = pose.gaze
         for gesture in self.gestures:
             attention = gesture.attention(time)
@@ -129,12 +129,14 @@ class Actor:
 AHEAD = unit(np.array([1.0, 0.0, -0.12]))  # where people look who look at nothing
 
 
-def pose_of(stance: Stance, twist: float, gaze: Vector, arms: dict[Side, ArmPose], raised: dict[Side, float]) -> Pose:
+def pose_of(
+    stance: Stance, twist: float, gaze: Vector, arms: dict[Side, ArmPose], raised: dict[Side, float]
+) -> BodyPose:
     """A stance with arms and a face."""
-    return Pose(stance.pelvis, stance.yaw, stance.lean, twist, gaze, arms, stance.feet, raised)
+    return BodyPose(stance.pelvis, stance.yaw, stance.lean, twist, gaze, arms, stance.feet, raised)
 
 
-def gaze_at(person: Person, pose: Pose, target: Vector) -> Vector:
+def gaze_at(person: Person, pose: BodyPose, target: Vector) -> Vector:
     """The direction of a face that is turned to a target."""
     size = person.proportions
     thorax, neck = thorax_frame(size, pose)

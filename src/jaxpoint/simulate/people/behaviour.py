@@ -53,7 +53,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Stand:
+class PointingBody:
     """What the law must know of the body that points: world metres."""
 
     thorax: Matrix
@@ -92,13 +92,13 @@ def draw_trial(rng: np.random.Generator, habit: Habit, settings: PointingSetting
     return Trial(*(float(v) for v in rng.normal(0.0, scatter)))
 
 
-def aim(person: Person, habit: Habit, trial: Trial, stand: Stand, target: Vector) -> ArmPose | None:
+def aim(person: Person, habit: Habit, trial: Trial, stand: PointingBody, target: Vector) -> ArmPose | None:
     """The arm's pose in which the person points at the target, or None where the arm cannot reach it."""
     law = _accurate if habit.law == "accurate" else _approximate
     return law(person, habit, trial, stand, target)
 
 
-def _accurate(person: Person, habit: Habit, trial: Trial, stand: Stand, target: Vector) -> ArmPose | None:
+def _accurate(person: Person, habit: Habit, trial: Trial, stand: PointingBody, target: Vector) -> ArmPose | None:
     """The fingertip on the line from the dominant eye to the target, where the elbow is bent as habit has it."""
     size, side = person.proportions, habit.hand
     sight = target - stand.eye
@@ -122,7 +122,7 @@ def _accurate(person: Person, habit: Habit, trial: Trial, stand: Stand, target: 
     return ArmPose(stand.thorax.T @ upper, stand.thorax.T @ fore, hand, habit.palm_turn, 1.0)
 
 
-def _approximate(person: Person, habit: Habit, trial: Trial, stand: Stand, target: Vector) -> ArmPose | None:
+def _approximate(person: Person, habit: Habit, trial: Trial, stand: PointingBody, target: Vector) -> ArmPose | None:
     """The forearm's axis off the direction from fingertip to target by the person's and the trial's error."""
     size, side = person.proportions, habit.hand
     up = habit.elevation_bias + trial.elevation
@@ -149,7 +149,7 @@ def _turned(direction: Vector, azimuth: float, elevation: float) -> Vector:
     return np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
 
 
-def _elbow_side(stand: Stand, side: Side, along: Vector, swivel: float) -> Vector:
+def _elbow_side(stand: PointingBody, side: Side, along: Vector, swivel: float) -> Vector:
     """The unit vector across the arm to which the elbow goes: down, and by the swivel out, as the arm lies before one.
 
     Of an arm held out to its side the elbow turns back.

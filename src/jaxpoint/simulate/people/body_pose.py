@@ -39,7 +39,7 @@ class Foot:
 
 
 @dataclass(frozen=True)
-class Pose:
+class BodyPose:
     """A whole person at one moment; world metres and radians."""
 
     pelvis: Vector  # between the hips

@@ -30,7 +30,7 @@ MOST_HEEL = np.deg2rad(50.0)
 
 
 @dataclass(frozen=True)
-class Step:
+class FootStep:
     """One foot goes from here to there, between two moments."""
 
     side: Side
@@ -64,7 +64,7 @@ class Walk:
         return float(top * (_ramp(t) - _ramp(t - (total - SPEED_UP_S))))
 
     @cached_property
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[FootStep]:
         """Feet alternate."""
         count = self._count
         share = self.route.length / count
@@ -77,7 +77,7 @@ class Walk:
             yaw = self.route.heading(reached)
             there = foot_at(self.size, self.route.at(reached), yaw, side)
             rest = (1 - IN_AIR) / 2 * (edges[k + 1] - edges[k])
-            steps.append(Step(side, edges[k] + rest, edges[k + 1] - rest, there))
+            steps.append(FootStep(side, edges[k] + rest, edges[k + 1] - rest, there))
         return steps
 
     def stance(self, time: float) -> Stance:
@@ -140,7 +140,7 @@ class Turn:
         return self.start_s + 2 * self._pairs * TURN_S
 
     @cached_property
-    def steps(self) -> list[Step]:
+    def steps(self) -> list[FootStep]:
         """The foot on the side of the turn goes first."""
         order: tuple[Side, Side] = ("left", "right") if self._angle > 0 else ("right", "left")
         steps = []
@@ -148,7 +148,7 @@ class Turn:
             yaw = self.from_yaw + self._angle * (k // 2 + 1) / self._pairs
             start = self.start_s + k * TURN_S
             there = foot_at(self.size, self.place, yaw, order[k % 2])
-            steps.append(Step(order[k % 2], start + 0.1 * TURN_S, start + 0.9 * TURN_S, there))
+            steps.append(FootStep(order[k % 2], start + 0.1 * TURN_S, start + 0.9 * TURN_S, there))
         return steps
 
     def stance(self, time: float) -> Stance:
@@ -159,7 +159,7 @@ class Turn:
         return Stance(np.array([self.place[0], self.place[1], height]), yaw, 0.03, feet)
 
 
-def feet_of(size: Proportions, place: Vector, yaw: float, steps: list[Step], time: float) -> dict[Side, Foot]:
+def feet_of(size: Proportions, place: Vector, yaw: float, steps: list[FootStep], time: float) -> dict[Side, Foot]:
     """Both feet at a moment, having stood side by side at a place before the first step."""
     sides: tuple[Side, Side] = ("left", "right")
     feet: dict[Side, Foot] = {side: foot_at(size, place, yaw, side) for side in sides}

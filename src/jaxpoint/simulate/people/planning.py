@@ -9,8 +9,8 @@ import numpy as np
 
 from jaxpoint.config.people import PeopleSettings, PointingSettings
 from jaxpoint.simulate.people.actor import AHEAD, gaze_at, pose_of
-from jaxpoint.simulate.people.behaviour import Habit, Stand, aim, draw_habit, draw_trial
-from jaxpoint.simulate.people.body_pose import ArmPose, Pose
+from jaxpoint.simulate.people.behaviour import Habit, PointingBody, aim, draw_habit, draw_trial
+from jaxpoint.simulate.people.body_pose import ArmPose, BodyPose
 from jaxpoint.simulate.people.floor import Floor
 from jaxpoint.simulate.people.gesture import Gesture, draw_times, draw_tremor
 from jaxpoint.simulate.people.line_of_sight import Corners, is_hidden, seen_place
@@ -30,7 +30,7 @@ BEFORE_CHEST = 0.11  # of stature: how far before the spine a pointing wrist is 
 
 
 @dataclass(frozen=True)
-class Target:
+class PointingTarget:
     """What a gesture points at."""
 
     name: str
@@ -54,12 +54,12 @@ class Performer:
         return {side: resting(self.person, side, "hanging") for side in SIDES}
 
 
-def draw_target(rng: np.random.Generator, settings: PeopleSettings, objects: Sequence, room: Floor) -> Target:
+def draw_target(rng: np.random.Generator, settings: PeopleSettings, objects: Sequence, room: Floor) -> PointingTarget:
     """An object, or a place on wall, floor or ceiling where no object is."""
     if objects and rng.random() >= settings.nothing:
         chosen = objects[int(rng.integers(len(objects)))]
         corners = np.asarray(chosen.corners, float)
-        return Target(chosen.name, corners.mean(axis=0), corners)
+        return PointingTarget(chosen.name, corners.mean(axis=0), corners)
     centers = np.array([np.asarray(thing.corners, float).mean(axis=0) for thing in objects]).reshape(-1, 3)
     reach = np.array([np.linalg.norm(np.ptp(np.asarray(t.corners, float), axis=0)) / 2 for t in objects])
     size = np.array(room.size_m)
@@ -69,14 +69,14 @@ def draw_target(rng: np.random.Generator, settings: PeopleSettings, objects: Seq
         spot[axis] = size[axis] * rng.integers(2)
         if (np.linalg.norm(centers - spot, axis=1) > reach + 0.15).all():
             break
-    return Target("nothing", spot)
+    return PointingTarget("nothing", spot)
 
 
 def plan_gesture(
     rng: np.random.Generator,
     performer: Performer,
     stance: Stance,
-    target: Target,
+    target: PointingTarget,
     first_s: float,
     objects: Sequence,
     room: Floor,
@@ -117,8 +117,8 @@ def plan_gesture(
 
 
 def _facing(
-    performer: Performer, stance: Stance, target: Target, objects: Sequence
-) -> tuple[Vector, Pose, Stand] | None:
+    performer: Performer, stance: Stance, target: PointingTarget, objects: Sequence
+) -> tuple[Vector, BodyPose, PointingBody] | None:
     """The place at which the pointing eye sees the target, and the body turned there, but for the arm.
 
     None where the body does not turn so far, or where other objects hide the target.
@@ -150,23 +150,23 @@ def _twist(habit: Habit, stance: Stance, target: Vector) -> float | None:
     return float(np.clip(TWIST_SHARE * aside, -TWIST_MOST, TWIST_MOST))
 
 
-def _raised(performer: Performer, stance: Stance, twist: float, target: Vector) -> Pose:
+def _raised(performer: Performer, stance: Stance, twist: float, target: Vector) -> BodyPose:
     """The body during the hold, but for the arm."""
     raised: dict[Side, float] = {side: float(side == performer.habit.hand) for side in SIDES}
     pose = pose_of(stance, twist, yawed(stance.yaw) @ AHEAD, performer.resting(), raised)
     return pose_of(stance, twist, gaze_at(performer.person, pose, target), pose.arms, raised)
 
 
-def _stand(person: Person, habit: Habit, pose: Pose) -> Stand:
+def _stand(person: Person, habit: Habit, pose: BodyPose) -> PointingBody:
     """What the law must know of a body."""
     size = person.proportions
     thorax, neck = thorax_frame(size, pose)
     turn, centre, _ = head_frame(size, thorax, neck, pose.gaze)
     eye = centre + turn @ eyes(person)[f"{habit.eye}_eye"]
-    return Stand(thorax, shoulder_of(size, thorax, neck, habit.hand, 1.0), eye)
+    return PointingBody(thorax, shoulder_of(size, thorax, neck, habit.hand, 1.0), eye)
 
 
-def _is_possible(person: Person, hand: Side, pose: Pose, arm: ArmPose, room: Floor) -> bool:
+def _is_possible(person: Person, hand: Side, pose: BodyPose, arm: ArmPose, room: Floor) -> bool:
     """The arm goes neither through the chest nor into walls and furniture."""
     held = pose_of(_stance(pose), pose.twist, pose.gaze, {**pose.arms, hand: arm}, pose.raised)
     joints = place(person, held).joints
@@ -177,5 +177,5 @@ def _is_possible(person: Person, hand: Side, pose: Pose, arm: ArmPose, room: Flo
     return room.holds(np.array([joints[f"{hand}_{name}"] for name in ("elbow", "wrist", "tip")]), WALL_M)
 
 
-def _stance(pose: Pose) -> Stance:
+def _stance(pose: BodyPose) -> Stance:
     return Stance(pose.pelvis, pose.yaw, pose.lean, pose.feet)

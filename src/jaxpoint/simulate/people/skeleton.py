@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxpoint.simulate.people.body import Frames
-from jaxpoint.simulate.people.body_pose import ArmPose, Foot, Pose
+from jaxpoint.simulate.people.body_pose import ArmPose, BodyPose, Foot
 from jaxpoint.simulate.people.bones import BONES
 from jaxpoint.simulate.people.hand import NEAR, finger_frames
 from jaxpoint.simulate.people.proportions import Proportions
@@ -35,7 +35,7 @@ def sign(side: Side) -> float:
     return 1.0 if side == "left" else -1.0
 
 
-def place(person: Person, pose: Pose) -> Skeleton:
+def place(person: Person, pose: BodyPose) -> Skeleton:
     """Every bone and joint of a person in a pose."""
     size = person.proportions
     bones: dict[str, tuple[Matrix, Vector]] = {}
@@ -52,7 +52,7 @@ def place(person: Person, pose: Pose) -> Skeleton:
     return Skeleton(Frames(rotation, np.stack([bones[name][1] for name in BONES])), joints)
 
 
-def thorax_frame(size: Proportions, pose: Pose) -> tuple[Matrix, Vector]:
+def thorax_frame(size: Proportions, pose: BodyPose) -> tuple[Matrix, Vector]:
     """Rotation and origin (base of the neck) of the thorax, which leans and turns at the waist."""
     turn = yawed(pose.yaw) @ about(LEFT, pose.lean) @ yawed(pose.twist)
     waist = pose.pelvis + UP * (size.waist_height - size.hip_height)

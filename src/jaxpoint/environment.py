@@ -12,7 +12,7 @@ CAMERA_FOLDER = Path("/sys/class/video4linux")  # where Linux lists cameras; oth
 
 
 @dataclass(frozen=True)
-class Finding:
+class EnvironmentCheck:
     """One thing that was looked at."""
 
     name: str
@@ -21,12 +21,12 @@ class Finding:
     remedy: str = ""  # a command or an advice; empty where nothing is wrong
 
 
-def examine() -> list[Finding]:
+def examine() -> list[EnvironmentCheck]:
     """Everything that decides whether jaxpoint runs here; what is wrong carries its remedy."""
     import platform
 
     return [
-        Finding("python", platform.python_version()),
+        EnvironmentCheck("python", platform.python_version()),
         *_packages(),
         *_jax(),
         _cameras(),
@@ -52,16 +52,16 @@ def _installed_version(package: str) -> str | None:
         return None
 
 
-def _packages() -> list[Finding]:
+def _packages() -> list[EnvironmentCheck]:
     names = ["jaxpoint", *(name for name, extra in _requirements() if not extra)]
     return [
-        Finding(name, _installed_version(name) or "missing", _installed_version(name) is not None,
+        EnvironmentCheck(name, _installed_version(name) or "missing", _installed_version(name) is not None,
                 "" if _installed_version(name) else f"pip install {name}")
         for name in names
     ]  # fmt: skip
 
 
-def _jax() -> list[Finding]:
+def _jax() -> list[EnvironmentCheck]:
     """Devices, and whether float64 is really computed in 64 bits."""
     try:
         import jax
@@ -72,23 +72,23 @@ def _jax() -> list[Finding]:
             third = jnp.asarray(1.0) / 3.0
             exact = third.dtype == jnp.float64 and abs(float(third) * 3.0 - 1.0) < 1e-15
     except (ImportError, RuntimeError) as error:
-        return [Finding("devices", f"jax does not run: {error}", False, "pip install --upgrade jax jaxlib")]
+        return [EnvironmentCheck("devices", f"jax does not run: {error}", False, "pip install --upgrade jax jaxlib")]
     double = (
-        Finding("float64", "works")
+        EnvironmentCheck("float64", "works")
         if exact
-        else Finding("float64", "is cut to float32", False, "unset JAX_ENABLE_X64 and JAX_DEFAULT_DTYPE_BITS")
+        else EnvironmentCheck("float64", "is cut to float32", False, "unset JAX_ENABLE_X64 and JAX_DEFAULT_DTYPE_BITS")
     )
-    return [Finding("devices", devices), double]
+    return [EnvironmentCheck("devices", devices), double]
 
 
-def _cameras() -> Finding:
+def _cameras() -> EnvironmentCheck:
     if not CAMERA_FOLDER.is_dir():
-        return Finding("cameras", "none listed by this system")
+        return EnvironmentCheck("cameras", "none listed by this system")
     names = sorted(f"{entry.name} ({(entry / 'name').read_text().strip()})" for entry in CAMERA_FOLDER.iterdir())
-    return Finding("cameras", ", ".join(names) or "none connected")
+    return EnvironmentCheck("cameras", ", ".join(names) or "none connected")
 
 
-def _extras() -> list[Finding]:
+def _extras() -> list[EnvironmentCheck]:
     """Optional packages of users by the extra that brings them; a missing one is not wrong, but says how to get it."""
     extras: dict[str, list[str]] = {}
     for package, extra in _requirements():
@@ -99,8 +99,10 @@ def _extras() -> list[Finding]:
         missing = [package for package in packages if _installed_version(package) is None]
         have = ", ".join(f"{package} {_installed_version(package)}" for package in packages if package not in missing)
         findings.append(
-            Finding(f"extra '{extra}'", f"{', '.join(missing)} not installed", True, f'pip install "jaxpoint[{extra}]"')
+            EnvironmentCheck(
+                f"extra '{extra}'", f"{', '.join(missing)} not installed", True, f'pip install "jaxpoint[{extra}]"'
+            )
             if missing
-            else Finding(f"extra '{extra}'", have)
+            else EnvironmentCheck(f"extra '{extra}'", have)
         )
     return findings

@@ -5,7 +5,7 @@ import pytest
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.calibration import write_calibration_json
-from jaxpoint.io.known_points import (
+from jaxpoint.io.survey_files import (
     read_camera_centres,
     read_landmark_pixels,
     read_landmarks,
