@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,15 @@ def test_the_picture_shows_the_layers():
     assert [rows[y] for y in sorted(rows, reverse=True)] == [set(names) for names in LAYERS]
     table = (docs / "architecture.md").read_text("utf-8")
     assert not {name for name in RANK if not re.search(rf"`{name}(\.py|/)`", table)}
+
+
+def test_no_two_files_and_no_two_classes_share_a_name():
+    files = Counter(path.name for path in modules() if path.name != "__init__.py")
+    assert [name for name, count in files.items() if count > 1] == []
+    trees = (ast.parse(path.read_text("utf-8")) for path in modules())
+    classes = Counter(node.name for tree in trees for node in tree.body if isinstance(node, ast.ClassDef))
+    public = {name: count for name, count in classes.items() if not name.startswith("_")}
+    assert [name for name, count in public.items() if count > 1] == []
 
 
 def test_opencv_stays_at_the_edge():
