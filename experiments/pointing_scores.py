@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from jaxpoint.config.gesture import GestureSettings
+from jaxpoint.config.pointing import GestureSettings
 from jaxpoint.pointing.held_joints import held_joints
 from jaxpoint.pointing.holds import arm_tracks, find_holds
 from session_pixels import GesturePixels

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxpoint.config.gesture import GestureSettings
+from jaxpoint.config.pointing import GestureSettings
 from jaxpoint.pointing.holds import ArmTrack, find_holds, hold_within
 
 PERIOD = 0.16

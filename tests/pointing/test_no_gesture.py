@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxpoint.config.gesture import GestureSettings
+from jaxpoint.config.pointing import GestureSettings
 from jaxpoint.pointing.holds import ArmTrack, find_holds
 from jaxpoint.pointing.no_gesture import no_gesture
 

@@ -6,7 +6,7 @@ import pytest
 from answer_rig import rig_of_three
 
 from jaxpoint.body.joints import Joints
-from jaxpoint.config.gesture import RoomExtent
+from jaxpoint.config.pointing import RoomExtent
 from jaxpoint.errors import UsageError
 from jaxpoint.io.object_scene import read_scene
 from jaxpoint.pointing.held_joints import HeldJoints

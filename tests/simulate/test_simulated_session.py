@@ -9,8 +9,8 @@ import pytest
 
 from jaxpoint.cli import main
 from jaxpoint.config import load_config
-from jaxpoint.config.gesture import RoomExtent
 from jaxpoint.config.people import PeopleSettings
+from jaxpoint.config.pointing import RoomExtent
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings, ViewpointSettings
 from jaxpoint.errors import UsageError
 from jaxpoint.io.calibration import read_calibration

@@ -17,7 +17,7 @@ from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv, user_cache
 from jaxpoint.commands.options import Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig, load_config
-from jaxpoint.config.gesture import PointSettings, RoomExtent
+from jaxpoint.config.pointing import PointSettings, RoomExtent
 from jaxpoint.errors import QualityError
 from jaxpoint.extras import extra
 

@@ -14,8 +14,8 @@ from jaxpoint.commands.console import Console, Progress
 from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Inline, Outcome, SeededOptions, at
 from jaxpoint.config import Count, Fraction, RoomConfig, Unit
-from jaxpoint.config.gesture import PointSettings
 from jaxpoint.config.person import PersonSettings
+from jaxpoint.config.pointing import PointSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.extras import extra

@@ -12,9 +12,9 @@ from typing import Literal
 
 import tyro
 
-from jaxpoint.config.gesture import PointSettings
 from jaxpoint.config.loading import load_settings
 from jaxpoint.config.person import MarkerSettings, PersonSettings
+from jaxpoint.config.pointing import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.config.types import Count, Fraction, Positive, Unit

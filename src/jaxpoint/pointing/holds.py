@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxpoint.body.following import Following
 from jaxpoint.body.stature import HEAD_M
-from jaxpoint.config.gesture import GestureSettings
+from jaxpoint.config.pointing import GestureSettings
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from jaxpoint.body.following import Following
-from jaxpoint.config.gesture import GestureSettings
+from jaxpoint.config.pointing import GestureSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.pointing.holds import ArmTrack, find_holds
 

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from jaxpoint.body.following import Following
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.config.gesture import PointSettings, RoomExtent
+from jaxpoint.config.pointing import PointSettings, RoomExtent
 from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.pointing.answers import Answer, ObjectScene, answers
 from jaxpoint.pointing.held_joints import HeldJoints, held_joints

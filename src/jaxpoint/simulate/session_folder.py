@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.config.gesture import RoomExtent
 from jaxpoint.config.loading import to_toml
+from jaxpoint.config.pointing import RoomExtent
 from jaxpoint.errors import MissingDependencyError
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.simulate.simulated_session import Progress, SimulatedFrame, SimulatedSession
