@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,17 +16,23 @@ import pytest
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.result import Calibration, Stage, Verdict
+from jaxpoint.commands.inputs import user_cache
+from jaxpoint.commands.kept_programs import trim_programs
+from jaxpoint.compilation import keep_programs
 from jaxpoint.config import LensSettings
 from jaxpoint.simulate.known import known_in
 from jaxpoint.simulate.rooms import random_room
 
-# Without most optimisations programs compile in half the time (tests/test_triangulation.py: 97 to 39 s of processor),
-# but whole calibrations run longer. With XLA_FLAGS set, to nothing even, programs are compiled as users have them.
-# Processes that tests start inherit it.
-if "XLA_FLAGS" not in os.environ:
-    os.environ["XLA_FLAGS"] = "--xla_cpu_use_fusion_emitters=false"
-    os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
-    jax.config.update("jax_disable_most_optimizations", True)
+# Compilation takes half the time of a first run. The older emitters are quicker (`jaxpoint.compilation`), and programs
+# are kept in the user's cache folder for the next run. With XLA_FLAGS set, to nothing even, programs are compiled as
+# users have them. Processes that tests start inherit all of it.
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    programs = user_cache() / "test-programs"
+    trim_programs(programs, time.time())
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(keep_programs(programs))
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 # `HYPOTHESIS_PROFILE=repeatable` draws the same examples every time; without it each run looks for new ones.

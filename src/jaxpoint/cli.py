@@ -1,6 +1,6 @@
-"""The command line: parse, call one command, exit with the code that DESIGN states.
+"""The command line: parse, call one command, exit with a code.
 
-Exit codes: 0 fine, 1 a bug, 2 usage or configuration, 3 environment, 4 data insufficient or degenerate, 5 quality gate
+Codes: 0 fine, 1 a bug, 2 usage or configuration, 3 environment, 4 data insufficient or degenerate, 5 quality gate
 failed (results kept and marked), 6 not converged, 7 file format, 130 interrupted.
 """
 
@@ -11,6 +11,7 @@ import logging
 import os
 import signal
 import sys
+import time
 import traceback
 from collections.abc import Sequence
 from functools import reduce
@@ -34,6 +35,7 @@ from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
+from jaxpoint.commands.kept_programs import programs_folder, trim_programs
 from jaxpoint.commands.objects_add import ObjectsAdd
 from jaxpoint.commands.objects_check import ObjectsCheck
 from jaxpoint.commands.objects_list import ObjectsList
@@ -170,8 +172,11 @@ def _run(command: Command, console: Console) -> Outcome:
 
     from jaxpoint.compilation import keep_programs
 
-    if command.runtime.compilation_cache is not None:
-        keep_programs(command.runtime.compilation_cache)
+    if jax.config.values["jax_compilation_cache_dir"] is None:  # set by the user for all of JAX, it stays
+        folder = programs_folder(command.runtime)
+        if folder is not None:
+            trim_programs(folder, time.time())
+            keep_programs(folder)
     with jax.enable_x64(True):
         return command.run(console)
 

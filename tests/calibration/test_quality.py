@@ -159,8 +159,8 @@ def test_a_lens_model_that_is_too_poor_is_refused(choice):
     assert "--lens.distortion auto" in str(quality.failure)
 
 
-def test_a_rig_that_refutes_both_priors_is_not_called_good(free_room):
-    """A start far off ended so with focal lengths 20 % wrong: what one prior would show, the other's loss hides."""
+def test_a_rig_that_refutes_two_priors_is_not_called_good(free_room):
+    """Starts far off ended so with focal lengths 6 to 20 % wrong: what one prior would show, the other's loss hides."""
     calibration = free_room[1]
     before, rig = calibration.freedom, calibration.rig
     cropped, weight = before.prior_mean.copy(), before.prior_weight.copy()
@@ -169,13 +169,19 @@ def test_a_rig_that_refutes_both_priors_is_not_called_good(free_room):
     stretched = eqx.tree_at(lambda rig: rig.cameras.lens, rig, replace_focal(rig.cameras.lens, wide))
     after = Freedom(before.free, cropped, weight)
     levels = [
-        {item.cause: item.level for item in given_up(before, end, shape)}
-        for end, shape in ((after, rig), (before, stretched), (after, stretched))
+        {item.cause: item.level for item in given_up(before, end, shape, another_lens)}
+        for end, shape, another_lens in (
+            (after, rig, True),
+            (before, stretched, False),
+            (after, stretched, False),
+            (before, stretched, True),
+        )
     ]
     assert levels == [
         {"cropped image": "care"},
         {"pixel aspect": "care"},
         {"cropped image": "care", "pixel aspect": "bad"},
+        {"pixel aspect": "bad"},
     ]
 
 

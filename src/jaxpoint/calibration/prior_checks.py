@@ -54,8 +54,12 @@ def prior_findings(calibration: Calibration, normal: NormalEquations | None) -> 
         yield from _open_aspect(calibration, normal)
 
 
-def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Finding]:
-    """What priors that were given up say of the cameras."""
+def given_up(before: Freedom, after: Freedom, rig: CameraRig, another_lens: bool = False) -> Iterator[Finding]:
+    """What priors that were given up say of the cameras.
+
+    Args:
+        another_lens: the data chose another lens model than the one that is tried first.
+    """
     count, sizes = len(rig), np.asarray(rig.image_sizes)
     looser = np.asarray((after.prior_weight[:count, CENTER] < before.prior_weight[:count, CENTER]).any(axis=1))
     looser |= (after.prior_mean[:count, CENTER] != before.prior_mean[:count, CENTER]).any(axis=1)
@@ -77,9 +81,10 @@ def given_up(before: Freedom, after: Freedom, rig: CameraRig) -> Iterator[Findin
     if not before.free[:count, ASPECT].any() and moved.any():
         shown = " and ".join(sorted({aspect_text(float(value)) for value in aspects[moved]}))
         solved = "; it was solved for" if after.free[:count, ASPECT].any() else ""
-        # A rig far from the truth pulls at both priors; with both gone nothing is left that would show it.
-        doubtful = looser.any()
-        beside = "; with principal points off too, either may stand for another fault" if doubtful else ""
+        # A rig far from the truth pulls at all priors; with two of them gone nothing is left that would show it.
+        also = [what for what, yes in (("principal points off", looser.any()), ("another lens", another_lens)) if yes]
+        doubtful = bool(also)
+        beside = f"; with {' and '.join(also)} too, either may stand for another fault" if doubtful else ""
         yield Finding(
             "pixel aspect",
             "bad" if doubtful else "care",

@@ -25,6 +25,7 @@ from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
+from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
@@ -152,11 +153,13 @@ def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: P
         refining.tracks, refining.recording, solution.settled, solution.freedom, settings, pairs, float(explained)
     )
     check_volume(found.points[found.point_valid])
+    chosen = intrinsics is None and settings.lens.distortion == "auto"
+    another_lens = chosen and not isinstance(found.rig.cameras.lens, Brown)
     stages = (_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled))
     return replace(
         with_reach(refining.with_offsets(replace(found, stages=stages))),
         seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
-        findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig)),
+        findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig, another_lens)),
     )
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import tyro
 
 from jaxpoint.commands.console import Console, Progress
-from jaxpoint.commands.inputs import hush_opencv, user_cache
+from jaxpoint.commands.inputs import hush_opencv
 from jaxpoint.commands.options import Outcome, SeededOptions, at
 from jaxpoint.config import Count, RoomConfig, load_config
 from jaxpoint.config.pointing import PointSettings, RoomExtent
@@ -56,9 +56,7 @@ class Demo(SeededOptions):
     @staticmethod
     def with_defaults(room: RoomConfig) -> Demo:
         """The command's defaults under a configuration file."""
-        programs = room.runtime.compilation_cache or user_cache() / "programs"
-        runtime = replace(room.runtime, compilation_cache=programs)
-        return Demo(out=Path("demo-run"), room=room, runtime=runtime)
+        return Demo(out=Path("demo-run"), room=room, runtime=room.runtime)
 
     def run(self, console: Console) -> Outcome:
         """The answers, with what the truth says about them."""

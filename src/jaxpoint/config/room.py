@@ -206,8 +206,10 @@ class DetectSettings:
 class RuntimeSettings:
     """How the computer is used; no result depends on it."""
 
+    keep_programs: bool = True
+    """Keep compiled programs, so that the next run starts sooner."""
     compilation_cache: Path | None = None
-    """Folder in which JAX keeps compiled programs, so that the next run starts sooner; off by default."""
+    """Folder in which they are kept; by default `programs` in the user's cache folder (`jaxpoint doctor` shows it)."""
 
 
 @dataclass(frozen=True)
