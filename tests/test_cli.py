@@ -317,6 +317,35 @@ def test_align_by_camera_centres_and_by_floor(run_folder, known_files, solved_ro
     np.testing.assert_allclose(placed[1], [length, 0, 0], atol=1e-9)
 
 
+def test_align_by_one_length(run_folder, known_files, solved_room, capsys):
+    room, frames = solved_room[0].room, np.flatnonzero(solved_room[1].point_valid)[[0, -1]]
+    ends = [str(frame) for frame in room.tracks.frame_ids[frames]]
+    out, length = known_files / "by-length", ["--length", *ends]
+    code, _, err = run("align", run_folder, *length, "--out", out, capsys=capsys)
+    assert (code, "--length A B --length-m METRES" in err) == (2, True)
+    assert run("align", run_folder, *length, "--length-m", 2.5, "--out", out) == 0
+    end = read_run(out).calibration
+    assert (end.unit, end.in_room) == ("m", False)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(end.points[frames], axis=0)), 2.5, rtol=1e-12)
+    np.testing.assert_allclose(end.rig.project(end.points), solved_room[1].rig.project(room.points), atol=1e-6)
+    code, _, err = run("align", out, *length, "--length-m", 2.5, "--out", known_files / "x", capsys=capsys)
+    assert (code, "has metres already" in err) == (2, True)
+
+
+def test_cameras_moved_since_they_were_measured_are_left_out(run_folder, known_files, solved_room, capsys):
+    room = solved_room[0].room
+    centres = room.positions + np.array([1.0, 2.0, 0.0])
+    tape = centres + np.array([[0, 0, 0], [0, 0, 0], [0.4, -0.3, 0.2], [0, 0, 0]])
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(room.tracks.names, tape)]
+    (known_files / "old.csv").write_text("\n".join(["name,x_m,y_m,z_m", *lines]))
+    out = known_files / "again"
+    code, printed, _ = run(
+        "align", run_folder, "--camera-centres", known_files / "old.csv", "--out", out, capsys=capsys
+    )
+    assert (code, "aligned without: cam_2" in printed) == (0, True)
+    np.testing.assert_allclose(read_run(out).calibration.rig.positions, centres, atol=1e-6)
+
+
 def test_check_shows_what_the_cameras_share(tmp_path, tracks_file, solved_room, capsys):
     code, out, _ = run("check", tracks_file, "--json", capsys=capsys)
     assert code == 0

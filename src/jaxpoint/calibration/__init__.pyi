@@ -9,8 +9,10 @@ from .alignment import (
 from .chain import Chain as Chain, Measured as Measured, chain_of as chain_of
 from .difference import Difference as Difference
 from .expected import ExpectedError as ExpectedError, expected_error as expected_error
+from .extension import extend_calibration as extend_calibration
 from .factors import Factors as Factors, adjust_projective as adjust_projective, factorise as factorise
 from .implicit import optimum as optimum
+from .known_length import scale_by_length as scale_by_length
 from .parallel import device_mesh as device_mesh, local_blocks as local_blocks, solve_on as solve_on, spread as spread
 from .propagation import (
     Estimate as Estimate,
@@ -37,6 +39,7 @@ from .schur import (
     Unknowns as Unknowns,
 )
 from .selfcal import calibrate as calibrate
+from .still_cameras import still_cameras as still_cameras
 from .stratification import Upgraded as Upgraded, Views as Views, candidates as candidates, upgrade as upgrade
 from .sturm_triggs import depth_ratios as depth_ratios, fill_rank_four as fill_rank_four
 from .uncertainty import Uncertainty as Uncertainty, uncertainty_of as uncertainty_of

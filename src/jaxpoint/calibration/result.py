@@ -71,10 +71,14 @@ class TimeOffsets:
 
 @dataclass(frozen=True)
 class FrameHold:
-    """What holds a calibration's scale and frame beside its observations: targets of known size, or known points."""
+    """What holds a calibration's scale and frame beside its observations.
+
+    Targets of known size, known points, or cameras that stayed as another calibration has them.
+    """
 
     open_freedoms: int  # of a similarity that nothing holds: 6 with targets (no scale), 0 with known points
     scale_sigma: float  # standard deviation of the scale that the sizes of targets leave, as a share of it
+    in_room: bool = True  # where no freedom is open: whether the frame is that of the room
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,9 @@ class Calibration:
     @property
     def in_room(self) -> bool:
         """Whether the frame is that of the room: aligned with it, or held by known points."""
-        return self.alignment is not None or (self.hold is not None and self.hold.open_freedoms == 0)
+        return self.alignment is not None or (
+            self.hold is not None and self.hold.open_freedoms == 0 and self.hold.in_room
+        )
 
     @property
     def comparable(self) -> Bool[np.ndarray, "F C"]:

@@ -30,6 +30,8 @@ class Align(SeededOptions):
     jaxpoint align runs/room --camera-centres tape.csv --out runs/room-m
 
     jaxpoint align runs/room --floor 10 250 480 --length-m 2.0 --out runs/room-m
+
+    jaxpoint align runs/room --length 10 250 --length-m 2.0 --out runs/room-m
     """
 
     run_folder: Annotated[Path, tyro.conf.Positional]
@@ -72,16 +74,36 @@ def align(calibration: Calibration, settings: AlignSettings) -> Calibration:
     from jaxpoint.io.survey_files import read_landmark_pixels
     from jaxpoint.landmarks import CLICK_SIGMA_PX
 
-    kinds = [settings.landmarks is not None, settings.camera_centres is not None, bool(settings.floor)]
-    if sum(kinds) != 1:
-        raise UsageError("Give one of --landmarks, --camera-centres and --floor; they are different ways to align.")
+    kinds = [settings.landmarks, settings.camera_centres, settings.floor or None, settings.length or None]
+    if sum(kind is not None for kind in kinds) != 1:
+        raise UsageError(
+            "Give one of --landmarks, --camera-centres, --floor and --length; they are different ways to align."
+        )
+    check_not_extended(calibration)
     names = calibration.rig.names
     clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, names)
+    if settings.length:
+        return _by_length(calibration, settings, clicks)
     way = _by_landmarks if settings.landmarks else _by_centres if settings.camera_centres else _by_floor
     found, known = way(calibration, settings, clicks)
     wide = check_size(_points_in_room(found, _cameras(calibration)[0]), known.points, settings.max_extent_m)
     found = replace(found, warnings=(*found.warnings, *wide))
     return aligned_with_covariance(calibration, found, known.sigmas, clicks, CLICK_SIGMA_PX)
+
+
+def check_not_extended(calibration: Calibration) -> None:
+    """Refuse a run of `calibrate --extend`: the frame of its cameras is that of the room that it extends.
+
+    Raises:
+        UsageError: it is one.
+    """
+    from jaxpoint.camera.parameters import POSE
+
+    if calibration.freedom is not None and not calibration.freedom.free[:, POSE].all():
+        raise UsageError(
+            "This run extends another by `calibrate --extend`, and stands in its frame; align that one, and extend the "
+            "aligned run."
+        )
 
 
 def _by_landmarks(
@@ -106,13 +128,16 @@ def _by_centres(
 ) -> tuple[Alignment, Landmarks]:
     """By known places of cameras; some may be missing."""
     from jaxpoint.calibration.alignment import align_to_camera_centres
+    from jaxpoint.calibration.still_cameras import still_cameras
     from jaxpoint.io.survey_files import read_camera_centres
     from jaxpoint.landmarks import locate
 
     assert settings.camera_centres is not None
     names = calibration.rig.names
-    known = read_camera_centres(settings.camera_centres, names, settings.unit)
+    given = read_camera_centres(settings.camera_centres, names, settings.unit)
     centres, rotations = _cameras(calibration)
+    still = still_cameras(locate(calibration, given.names)[0], given.points, settings.moved_m)
+    known = given.select([name for name, stays in zip(given.names, still) if stays])
     found = align_to_camera_centres(
         locate(calibration, known.names)[0],
         known.points,
@@ -121,8 +146,10 @@ def _by_centres(
         camera_rotations=rotations,
         all_centres=centres,
     )
-    absent = ", ".join(name for name in names if name not in known.names)
+    absent = ", ".join(name for name in names if name not in given.names)
     warnings = (f"'{settings.camera_centres}' does not have {absent}: aligned without.",) if absent else ()
+    moved = ", ".join(name for name in given.names if name not in known.names)
+    warnings += (f"Moved since '{settings.camera_centres}', and aligned without: {moved}.",) if moved else ()
     return replace(found, warnings=(*found.warnings, *warnings)), known
 
 
@@ -139,6 +166,17 @@ def _by_floor(
     found = align_to_floor(points, _cameras(calibration)[0], settings.length_m, names=settings.floor)
     known = Landmarks(settings.floor, _points_in_room(found, points))
     return replace(found, warnings=(*found.warnings, *warnings)), known
+
+
+def _by_length(calibration: Calibration, settings: AlignSettings, clicks: LandmarkPixels | None) -> Calibration:
+    """Metres by one length, in a frame of the calibration's own."""
+    from jaxpoint.calibration.known_length import scale_by_length
+    from jaxpoint.landmarks import locate
+
+    if len(settings.length) != 2 or settings.length_m is None:
+        raise UsageError("--length needs two points and the distance between them: --length A B --length-m METRES.")
+    ends, _ = locate(calibration, settings.length, clicks)
+    return scale_by_length(calibration, ends, settings.length_m)
 
 
 def _cameras(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:

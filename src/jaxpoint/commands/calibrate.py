@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -12,7 +12,11 @@ from jaxpoint.commands.console import Console
 from jaxpoint.commands.inputs import check_lens, detection_summary, intrinsics_from, tracks_from
 from jaxpoint.commands.options import Inline, Options, Outcome
 from jaxpoint.config import CalibrateSettings, InputSettings, RoomConfig
-from jaxpoint.errors import FileFormatError
+from jaxpoint.errors import FileFormatError, UsageError
+
+if TYPE_CHECKING:
+    from jaxpoint.calibration.result import Calibration
+    from jaxpoint.tracks import Tracks
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,12 +25,18 @@ class Calibrate(Options):
 
     jaxpoint calibrate tracks.npz --out runs/room
 
+    jaxpoint calibrate tracks.npz --extend runs/room-m --recalibrate cam_2 --out runs/room-again
+
     Nothing about the room need be known; the result has an arbitrary unit until `jaxpoint align`. Results that miss
     a quality gate are kept, marked, and end in exit code 5 (6 where the adjustment did not converge).
     """
 
     tracks: Annotated[Path, tyro.conf.Positional]
     """Tracks (.npz, .csv), or a folder with points.dat."""
+    extend: Path | None = field(default=None)
+    """Run of a calibrated room: its cameras stay as they are, and the tracks' other cameras are found beside them."""
+    recalibrate: tuple[str, ...] = field(default=())
+    """With `--extend`: cameras of the room that were moved, to be found again; their lenses stay."""
     input: Annotated[InputSettings, Inline] = field(default_factory=InputSettings)
     settings: Annotated[CalibrateSettings, Inline] = field(default_factory=CalibrateSettings)
     room: tyro.conf.Suppress[RoomConfig] = field(default_factory=RoomConfig)
@@ -49,19 +59,36 @@ class Calibrate(Options):
         tracks = tracks_from(self.tracks, self.input)
         intrinsics = intrinsics_from(self.input, tracks)
         detect_seconds = _detect_seconds(self.tracks)  # before the work: a damaged file must not cost it
-        with console.progress() as progress:
-            solved = calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress)
+        if self.extend is not None or self.recalibrate:
+            solved = self._extended(tracks)
+        else:
+            with console.progress() as progress:
+                solved = with_covariance(calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress))
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
-        given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config)
+        before = None if self.extend is None else self.extend / "calibration.json"
+        given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config, before)
         sources = [path for path in given if path is not None]
         return write_outcome(
-            with_covariance(solved),
+            solved,
             out,
             room,
             sources=sources,
             detect_seconds=detect_seconds,
             force=self.force,
         )
+
+    def _extended(self, tracks: Tracks) -> Calibration:
+        """The tracks' cameras beside those of a calibrated room."""
+        from jaxpoint.calibration.extension import extend_calibration
+        from jaxpoint.runs import read_run
+
+        if self.extend is None:
+            raise UsageError("--recalibrate names cameras of a calibrated room; give its run by --extend RUN.")
+        if self.input.intrinsics is not None:
+            raise UsageError("--extend takes its lenses from the room; leave out --intrinsics.")
+        if self.settings.time_offsets:
+            raise UsageError("--extend needs cameras in step; leave out --time-offsets, and give --offset or --rate.")
+        return extend_calibration(tracks, read_run(self.extend).calibration, self.settings, self.recalibrate)
 
 
 def _detect_seconds(tracks: Path) -> float | None:

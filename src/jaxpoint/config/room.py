@@ -155,7 +155,7 @@ class InputSettings:
 
 @dataclass(frozen=True)
 class AlignSettings:
-    """What is known in metres about the room; give one of landmarks, camera centres, or floor."""
+    """What is known in metres about the room; give one of landmarks, camera centres, floor, or length."""
 
     landmarks: Path | None = None
     """CSV of known points, `name,x_m,y_m,z_m[,sigma_m]` (or x_cm, x_mm, ...), z up. A name is a point in
@@ -169,8 +169,14 @@ class AlignSettings:
     floor: tuple[str, ...] = ()
     """Three or more points on the floor, named as in `landmarks`: the first becomes the origin, x points to the
     second."""
+    length: tuple[str, ...] = ()
+    """Two points, named as in `landmarks`, whose distance is `length_m`: the calibration has metres then, and still
+    neither floor nor up."""
     length_m: Positive | None = None
-    """With `floor`: distance between its first two points."""
+    """Distance between the points of `length`, or between the first two of `floor`."""
+    moved_m: Positive = 0.05
+    """Cameras that stand farther than this from their known centres, where the others agree, were moved since and are
+    left out."""
     max_rms_mm: Positive = 50.0
     """Quality gate: a larger rms residual fails the alignment (results are kept and marked)."""
     max_extent_m: Positive = 300.0
