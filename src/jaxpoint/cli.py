@@ -25,10 +25,12 @@ from jaxpoint.commands.align import Align
 from jaxpoint.commands.bias_apply import BiasApply
 from jaxpoint.commands.bias_compare import BiasCompare
 from jaxpoint.commands.bias_fit import BiasFit
+from jaxpoint.commands.board import Board
 from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.demo import Demo
+from jaxpoint.commands.detect_board import DetectBoard
 from jaxpoint.commands.detect_led import DetectLed
 from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
@@ -46,6 +48,7 @@ from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDepende
 
 Command = (
     DetectLed
+    | DetectBoard
     | DetectPerson
     | DetectMarker
     | ObjectsAdd
@@ -63,6 +66,7 @@ Command = (
     | Demo
     | Simulate
     | Point
+    | Board
 )
 COMMANDS = get_args(Command)
 GROUPS = {
