@@ -18,15 +18,15 @@ from jaxpoint.calibration.board_chain import chain_cameras, target_poses
 from jaxpoint.calibration.board_views import BoardViews, is_flat, lens_of, solve_views, starts_of, widest_angle
 from jaxpoint.calibration.lens_start import LensStart
 from jaxpoint.calibration.objective import Solution, better_by
-from jaxpoint.calibration.outliers import refine_coarse_to_fine, refine_to_convergence
+from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.pairs import pair_table
-from jaxpoint.calibration.recording import Freedom, Recording, RigState
+from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState, adjust, project
 from jaxpoint.calibration.refinement import first_choice
 from jaxpoint.calibration.result import Calibration, Stage
 from jaxpoint.calibration.target_blocks import with_places
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.lenses import lens_of_choice
-from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, adjusted_lenses, size_of
+from jaxpoint.camera.parameters import ASPECT, CENTER, FOCAL, POSE, adjusted_lenses, size_of
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings, OutlierSettings
 from jaxpoint.errors import InsufficientDataError
@@ -36,7 +36,7 @@ from jaxpoint.tracks import Tracks
 Progress = Callable[[str, int, int], None]
 FULL, FISHEYE = "brown", "fisheye"  # what `auto` chooses from
 WIDE, VERY_WIDE = 0.75, 1.25  # rad off the axis: a fisheye is tried too, and beyond the second nothing else
-LOOSE = 10.0  # how much wider than for self-calibration the priors of coefficients are: boards tell them
+SQUARE = 0.02  # sigma of a log aspect: boards tell it to 0.1 %, where they tell it at all
 WORTH = 4.0  # fall of the objective for every coefficient more
 
 
@@ -142,10 +142,18 @@ class _Solver:
         state = self._state(model, views, rotation, translation)
         self.progress("all together", 0, 1)
         judged = refine_coarse_to_fine(self.recording, state, freedom)
-        settled = refine_to_convergence(self.recording, judged, freedom, self._outliers)
+        settled = self._finished(refine_to_convergence(self.recording, judged, freedom, self._outliers), freedom)
         self.progress("all together", 1, 1)
         figures = {name: [round(float(value), 4) for value in lens_of(view)] for name, view in zip(names, views)}
         return Solution(settled, freedom), (Stage("Each camera by itself", figures),)
+
+    def _finished(self, settled: Settled, freedom: Freedom) -> Settled:
+        """The inliers at their very optimum: judging them leaves poses where a robust loss has them."""
+        judged = settled.judged
+        end = adjust(self.recording, judged.state, judged.kept, freedom.at_noise(settled.sigma_px), rtol=1e-10)
+        errors = np.linalg.norm(project(end.state)[0] - self.recording.pixels, axis=-1)
+        errors = np.where(judged.errors > 0, errors, 0.0)
+        return replace(settled, judged=replace(judged, state=end.state, errors=errors))
 
     @property
     def _outliers(self) -> OutlierSettings:
@@ -196,7 +204,7 @@ def _first_of(values: np.ndarray, camera: int, size: int) -> np.ndarray:
 def board_freedom(
     recording: Recording, settings: CalibrateSettings, choice: str, intrinsics: CameraRig | None
 ) -> Freedom:
-    """What moves: with boards the lens too, without the priors that a light needs; of one camera no pose."""
+    """What moves: the pixel aspect too, which boards tell; of one camera no pose."""
     lens = settings.lens
     hold = lens.known == "hold"
     freedom = Freedom.of(recording, lens, choice, hold=hold)
@@ -208,9 +216,7 @@ def board_freedom(
         return replace(known, free=free)
     if not hold and lens.aspect == "auto":
         free[: recording.cameras, ASPECT] = True
-    weight[:, ASPECT] = 0.0
-    weight[:, CENTER] = 0.0
-    weight[:, COEFFICIENTS] /= LOOSE**2
+    weight[:, ASPECT] = (NOISE_PX / SQUARE) ** 2
     return replace(freedom, free=free, prior_weight=weight)
 
 
