@@ -36,6 +36,7 @@ from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
+from jaxpoint.commands.intrinsics import Intrinsics
 from jaxpoint.commands.objects_add import ObjectsAdd
 from jaxpoint.commands.objects_check import ObjectsCheck
 from jaxpoint.commands.objects_list import ObjectsList
@@ -67,6 +68,7 @@ Command = (
     | Simulate
     | Point
     | Board
+    | Intrinsics
 )
 COMMANDS = get_args(Command)
 GROUPS = {

@@ -15,8 +15,8 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust,
 from jaxpoint.calibration.target_blocks import TargetRows, known_poses, with_places
 from jaxpoint.camera.conversion import fit_coefficients
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE as CAMERA_POSE
-from jaxpoint.camera.parameters import lens_parameters, size_of
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, lens_parameters, size_of
+from jaxpoint.camera.parameters import POSE as CAMERA_POSE
 from jaxpoint.errors import InsufficientDataError
 
 LEAST_VIEWS = 3  # of a camera whose lens is not known: Zhang's constraints are two a view
@@ -126,12 +126,12 @@ def _coefficients(
     near = directions[:, 2] > np.cos(REACH)
     # Two radial terms: more would follow the start's faults to the edge of the image.
     radial = freedom.free[0, COEFFICIENTS] & np.array([c.name in ("k1", "k2") for c in model.coefficients], bool)
-    return fit_coefficients(model, np.array([start.focal, start.focal, *center]), directions[near], pixels[near], radial)
+    return fit_coefficients(
+        model, np.array([start.focal, start.focal, *center]), directions[near], pixels[near], radial
+    )
 
 
-def _poses(
-    alone: Recording, state: RigState, owned: TargetRows, start: LensStart | None
-) -> Float[np.ndarray, "M 12"]:
+def _poses(alone: Recording, state: RigState, owned: TargetRows, start: LensStart | None) -> Float[np.ndarray, "M 12"]:
     """Of a flat target in each frame, from the start's plain lens or from a known one; NaN where it tells none."""
     poses = np.full((len(owned.rows), POSE), np.nan)
     if not is_flat(owned):
@@ -145,7 +145,10 @@ def _poses(
         if start is None:
             directions, valid = rays(state, 0, pixels)
         else:
-            directions, valid = directions_of(pixels, start.focal, center, start.equidistant), np.ones(len(pixels), bool)
+            directions, valid = (
+                directions_of(pixels, start.focal, center, start.equidistant),
+                np.ones(len(pixels), bool),
+            )
         pose = pose_from_rays(owned.shape[own][valid, :2], directions[valid])
         if pose is not None:
             poses[frame] = pose_values(pose[0][None], pose[1][None])[0]

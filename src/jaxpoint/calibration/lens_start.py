@@ -93,9 +93,7 @@ def _pixels(
     return center + focal * (radius / across)[:, None] * directions[:, :2]
 
 
-def _cost(
-    views: list[FlatView], focal: float, center: Float[np.ndarray, "2"], equidistant: bool, side: float
-) -> float:
+def _cost(views: list[FlatView], focal: float, center: Float[np.ndarray, "2"], equidistant: bool, side: float) -> float:
     """Mean squared error of points whose pose each view tells under this lens; errors are clipped."""
     errors = []
     for view in views:

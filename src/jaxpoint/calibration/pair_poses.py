@@ -67,7 +67,7 @@ def pair_scatter(calibration: Calibration) -> list[PairScatter]:
             for first in own:
                 for second in own:
                     if first < second:
-                        pose = _between(calibration, rows, own[first], own[second], first, second)
+                        pose = _between(calibration, rows, own[first], own[second], second)
                         found.setdefault((first, second), []).append(pose)
     return [PairScatter(*pair, tuple(views)) for pair, views in found.items() if len(views) >= LEAST_VIEWS]
 
@@ -108,7 +108,7 @@ def _project(rig, points: np.ndarray) -> np.ndarray:
     return np.stack(type(lens).slopes_of(list(np.asarray(lens.parameters)), tuple(local.T), np).pixel, axis=1)
 
 
-def _between(calibration: Calibration, rows, one: Moved, other: Moved, first: int, second: int) -> ViewPose:
+def _between(calibration: Calibration, rows, one: Moved, other: Moved, second: int) -> ViewPose:
     """What the second camera's pose must change by for both views to be of one board."""
     # The board stands at M1 by the first camera and at M2 by the second: the second camera errs by M2 M1^-1 about the
     # board's middle, seen from its own frame.
@@ -121,7 +121,6 @@ def _between(calibration: Calibration, rows, one: Moved, other: Moved, first: in
     at = middle + one[1]
     shift = other[1] - one[1] + (at - turn @ at)  # of the world, x -> turn x + shift
     # cam2_from_world after (turn, shift): R turn, R shift + t; against R, t in the camera's frame.
-    del first
     changed = rotation @ turn @ rotation.T
     moved = rotation @ shift + translation - changed @ translation
     return ViewPose(int(calibration.tracks.frame_ids[rows[0]]), rotation @ vector, moved, chi)

@@ -108,7 +108,9 @@ def detection_figures(detection: BoardDetection, tracks: Path | None = None) -> 
                 "corners": int(detection.tracks.visible[:, camera].sum()),
                 "mirrored": int((detection.mirrored & found)[:, camera].sum()),
                 "rejected": {
-                    why: count for why, count in counts_of(detection, camera).items() if why not in ("found", "no_image")
+                    why: count
+                    for why, count in counts_of(detection, camera).items()
+                    if why not in ("found", "no_image")
                 },
             }
             for camera, name in enumerate(detection.names)

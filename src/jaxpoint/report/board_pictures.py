@@ -25,7 +25,9 @@ def board_strips(detection: BoardDetection) -> list[tuple[str, UInt8[np.ndarray,
             frames = detection.frame_ids[some].tolist()
             pictures = [board_picture(detection, frame, camera) for frame in frames]
             count = counts_of(detection, camera)[reason.name.lower()]
-            what = {"found": "board found", "blurred": "too blurred", "not_found": "no board found"}[reason.name.lower()]
+            what = {"found": "board found", "blurred": "too blurred", "not_found": "no board found"}[
+                reason.name.lower()
+            ]
             caption = f"{name}: {what} in {count} frames, such as {', '.join(map(str, frames))}"
             strips.append((caption, np.concatenate(pictures, axis=1)))
     return strips

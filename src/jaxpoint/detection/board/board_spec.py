@@ -93,7 +93,9 @@ def _table_of_file(path: Path) -> BoardTable:
     known = {field.name for field in fields(BoardTable)}
     unknown = sorted(set(values.get("board", {})) - known) if isinstance(values.get("board"), dict) else []
     if unknown:
-        raise UsageError(f"The board of '{path}' has an unknown key '{unknown[0]}'; known are {', '.join(sorted(known))}.")
+        raise UsageError(
+            f"The board of '{path}' has an unknown key '{unknown[0]}'; known are {', '.join(sorted(known))}."
+        )
     return _converted(values, BoardFile, f"The board of '{path}'").board
 
 
