@@ -43,6 +43,7 @@ from jaxpoint.commands.objects_list import ObjectsList
 from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
+from jaxpoint.commands.stereo import Stereo
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, check_settings, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
@@ -69,6 +70,7 @@ Command = (
     | Point
     | Board
     | Intrinsics
+    | Stereo
 )
 COMMANDS = get_args(Command)
 GROUPS = {
