@@ -44,6 +44,7 @@ from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.stereo import Stereo
+from jaxpoint.commands.undistort import Undistort
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, check_settings, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
@@ -71,6 +72,7 @@ Command = (
     | Board
     | Intrinsics
     | Stereo
+    | Undistort
 )
 COMMANDS = get_args(Command)
 GROUPS = {

@@ -166,7 +166,8 @@ class _Solver:
         """One camera by itself."""
         self.progress("each camera by itself", camera, self.tracks.cameras)
         alone = Recording.of(self.tracks.select_cameras([camera]))
-        own = Freedom(*(_first_of(part, camera, len(alone.image_sizes)) for part in _parts(freedom)))
+        free, mean, weight = (_first_of(part, camera, len(alone.image_sizes)) for part in _parts(freedom))
+        own = Freedom(free, mean, weight)
         known = None if self.intrinsics is None else adjusted_lenses(self.intrinsics)[camera]
         start = None
         if starts is not None:

@@ -1,4 +1,4 @@
-"""Where cameras stand to each other by the boards that they saw at the same time: robust means, along the best chain."""
+"""Where cameras stand to each other by the boards that they saw together: robust means, along the best chain."""
 
 from __future__ import annotations
 

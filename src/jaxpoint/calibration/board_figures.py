@@ -13,6 +13,7 @@ from jaxpoint.camera.camera import POSE_NAMES
 
 POOR, POOR_PX = 2.5, 0.3  # times the median rms of the camera's views, and at least so much: a view to look at
 LOST = 0.3  # of a view's corners rejected
+BEYOND = 1.25  # of the farthest corner's distance from the principal point: places to hold the board next
 GRID = (16, 12)  # places of the image at which the lens's uncertainty is asked
 
 
@@ -122,10 +123,18 @@ WORDS = (("upper left", "upper middle", "upper right"), ("left", "middle", "righ
 def where_next(calibration: Calibration, camera: int) -> tuple[tuple[float, float], str] | None:
     """Where in the image the lens is known worst, px and in words; None where that is not known."""
     found = lens_sigma_map(calibration, camera)
-    if found is None or not np.isfinite(found).any():
+    if found is None:
+        return None
+    width, height = calibration.tracks.image_sizes[camera]
+    x, y = np.meshgrid(np.linspace(0, width - 1, GRID[0]), np.linspace(0, height - 1, GRID[1]))
+    seen = calibration.tracks.pixels[calibration.kept[:, camera], camera]
+    cx, cy = np.asarray(calibration.rig.cameras.center)[camera]
+    # A fisheye's image ends before its corners; nobody knows where, but not far beyond the farthest corner of a board.
+    reach = BEYOND * np.hypot(*(seen - [cx, cy]).T).max(initial=0.0)
+    found = np.where(np.hypot(x - cx, y - cy) <= reach, found, np.nan)
+    if not np.isfinite(found).any():
         return None
     row, column = np.unravel_index(np.nanargmax(found), found.shape)
-    width, height = calibration.tracks.image_sizes[camera]
     place = float((width - 1) * column / (GRID[0] - 1)), float((height - 1) * row / (GRID[1] - 1))
     word = WORDS[min(3 * int(row) // GRID[1], 2)][min(3 * int(column) // GRID[0], 2)]
     return place, word

@@ -1,4 +1,4 @@
-"""What one camera by itself says of flat targets of known shape: its lens, and the pose of each target in each frame."""
+"""What one camera by itself says of flat targets of known shape: its lens, and the pose of each in each frame."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A first lens of one camera from views of a flat target: Zhang's homographies, or a search over focal lengths.
 
-Zhang 2000 for lenses that are nearly perspective; of very wide ones no homography holds, so focal lengths of a perspective
-and of an equidistant lens are tried in turn, and what explains the views best is kept.
+Zhang 2000 for lenses that are nearly perspective; of very wide ones no homography holds, so focal lengths of a
+perspective and of an equidistant lens are tried in turn, and what explains the views best is kept.
 """
 
 from __future__ import annotations

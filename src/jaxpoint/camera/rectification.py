@@ -5,6 +5,7 @@ Both see along one direction, across the baseline (Fusiello, Trucco and Verri 20
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import jax
@@ -45,8 +46,8 @@ class Rectification:
 def rectify(left: Camera, right: Camera, size: tuple[int, int]) -> Rectification:
     """The rectification of two cameras with images of this size.
 
-    The focal length is the mean of both, so that the middle of the image keeps its scale; of wide lenses it is shorter,
-    so that 100 degrees fit.
+    The focal length is the mean of both, so that the middle of the image keeps its scale; of fisheyes it is what makes
+    100 degrees fit.
 
     Raises:
         InsufficientDataError: the cameras stand at one place.
@@ -74,12 +75,16 @@ def rectify(left: Camera, right: Camera, size: tuple[int, int]) -> Rectification
     return Rectification(rotations, _intrinsics(left, right, rotations, size), baseline, size)
 
 
+def flat_focal(cameras: Sequence[Camera], size: tuple[int, int]) -> float:
+    """The focal length (px) of flat images of these cameras: their mean, or what fits 100 degrees of a wide lens."""
+    if cameras[0].lens.sees_sideways:
+        return float((size[0] / 2) / np.tan(WIDEST / 2))
+    return float(np.mean([np.asarray(camera.focal) for camera in cameras]))
+
+
 def _intrinsics(left: Camera, right: Camera, rotations, size: tuple[int, int]) -> Float[np.ndarray, "3 3"]:
     """K with the middle of both images, in the mean, at the middle of the rectified ones."""
-    focal = float(np.mean([np.asarray(camera.focal) for camera in (left, right)]))
-    shortest = (size[0] / 2) / np.tan(WIDEST / 2)
-    if left.lens.sees_sideways:
-        focal = min(focal, shortest) if focal > shortest else shortest
+    focal = flat_focal([left, right], size)
     middle = (np.array(size) - 1) / 2.0
     shifts = []
     for camera, turn in zip((left, right), rotations):

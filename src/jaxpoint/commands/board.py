@@ -46,8 +46,8 @@ class Board(Options):
         figures = {"board": board.spec, "file": str(out), "width_mm": width, "height_mm": height}
         care = (
             (
-                "It looks the same turned by 180 degrees, which several cameras cannot tell apart; one side odd and one "
-                "even is better.",
+                "It looks the same turned by 180 degrees, which several cameras cannot tell apart; one side odd and "
+                "one even is better.",
             )
             if board.ambiguous
             else ()

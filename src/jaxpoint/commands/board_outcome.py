@@ -65,7 +65,7 @@ def write_board_outcome(
     told = {**figures, "run": str(out), "report": str(page) if page.exists() else None}
     notes = () if detection is None else notes_of(detection)
     care = [f"{item.finding} {item.remedy}." for item in quality.findings if item.level == "care"]
-    text = (*_table(calibration, figures), *_summary(figures), *lines, *notes, *care, *at("Report", page))
+    text = (*_table(figures), *_summary(figures), *lines, *notes, *care, *at("Report", page))
     return Outcome(told, text, quality.failure, tuple(missing))
 
 
@@ -116,7 +116,7 @@ def _lens(calibration: Calibration, camera: int) -> dict[str, Any]:
     }
 
 
-def _table(calibration: Calibration, figures: dict[str, Any]) -> tuple[str, ...]:
+def _table(figures: dict[str, Any]) -> tuple[str, ...]:
     rows = []
     for lens, camera, mean in zip(figures["lenses"], figures["cameras"], figures["reprojection"]["per_camera_mean_px"]):
         values, sigmas = lens["parameters"], lens["sigmas"]
@@ -132,7 +132,6 @@ def _table(calibration: Calibration, figures: dict[str, Any]) -> tuple[str, ...]
                 f"{lens['coverage']:.0%}",
             )
         )
-    del calibration
     return table(("camera", "lens", "focal px", "centre px", "kept", "mean px", "coverage"), rows)
 
 
@@ -145,6 +144,6 @@ def _summary(figures: dict[str, Any]) -> tuple[str, ...]:
     if errors["rms_px"] is None:
         return ("no corner was kept",)
     return (
-        f"rms {errors['rms_px']:.3f} px, mean {errors['mean_px']:.3f} px over {used['used']} of {used['total']} corners in "
-        f"{figures['views']} views, {figures['seconds']['total']:.1f} s",
+        f"rms {errors['rms_px']:.3f} px, mean {errors['mean_px']:.3f} px over {used['used']} of {used['total']} corners "
+        f"in {figures['views']} views, {figures['seconds']['total']:.1f} s",
     )

@@ -25,8 +25,8 @@ class DetectBoard(Options):
 
     jaxpoint detect board session/ --board charuco:7x5:40mm:30mm:DICT_4X4_50 --out tracks.npz
 
-    Give a session, or one folder of images, some images ("folder/left*.jpg") or one video a camera. `jaxpoint calibrate`
-    takes the tracks, alone or with those of a light.
+    Give a session, or one folder of images, some images ("folder/left*.jpg") or one video a camera. `jaxpoint
+    calibrate` takes the tracks.
     """
 
     sources: Annotated[tuple[Path, ...], tyro.conf.Positional]

@@ -60,11 +60,11 @@ class Intrinsics(Options):
         out, board = self.needed_folder("runs/lens"), read_board(self.board)
         if self.lens.known != "none":
             raise UsageError(f"--lens.known {self.lens.known} belongs to rigs; `intrinsics` solves for the lens.")
-        sources = open_board_sources(self.images, () if self.name is None else (self.name,))
+        sources = open_board_sources(self.images, [] if self.name is None else [self.name])
         if len(sources.names) > 1:
             raise UsageError(
-                f"{len(sources.names)} cameras were given ({', '.join(sources.names)}), and `intrinsics` takes one; for "
-                "two of them there is `jaxpoint stereo`, for more `jaxpoint detect board` and `jaxpoint calibrate`."
+                f"{len(sources.names)} cameras were given ({', '.join(sources.names)}), and `intrinsics` takes one; "
+                "for two of them there is `jaxpoint stereo`, for more `jaxpoint detect board` and `jaxpoint calibrate`."
             )
         settings = replace(self.room.calibrate, lens=self.lens, outliers=self.outliers)
         with console.progress() as progress:

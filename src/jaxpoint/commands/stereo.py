@@ -111,8 +111,8 @@ class Stereo(Options):
         for name, known, source in zip(names, chosen.image_sizes.tolist(), sources.frames):
             if tuple(known) != tuple(source.size):
                 raise UsageError(
-                    f"The images of '{source.path}' are {source.size[0]} x {source.size[1]} px, but '{path}' knows camera "
-                    f"'{name}' with {known[0]} x {known[1]}; use the calibration of this recording."
+                    f"The images of '{source.path}' are {source.size[0]} x {source.size[1]} px, but '{path}' knows "
+                    f"camera '{name}' with {known[0]} x {known[1]}; use the calibration of this recording."
                 )
         rig = CameraRig(chosen.cameras, chosen.image_sizes, tuple(names), chosen.reach)
         results = StereoResults(rig, sources, self.dense, self._frame(sources.pairing.frame_ids), saved.unit)

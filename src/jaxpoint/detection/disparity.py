@@ -28,8 +28,8 @@ def disparity_of(
     own disparities do not come back to it.
     """
     found = sgbm_disparity(left, right, settings)
-    flipped = [np.ascontiguousarray(image[:, ::-1]) for image in (right, left)]
-    back = sgbm_disparity(*flipped, settings)[:, ::-1]
+    flipped_right, flipped_left = (np.ascontiguousarray(image[:, ::-1]) for image in (right, left))
+    back = sgbm_disparity(flipped_right, flipped_left, settings)[:, ::-1]
     rows, columns = np.indices(found.shape)
     there = np.rint(columns - np.nan_to_num(found)).astype(int)
     inside = there >= 0

@@ -52,13 +52,12 @@ def rectify_pair(
     settings: StereoSettings,
 ) -> RectifiedPair:
     """Rectify, match, and place in space."""
-    turned = [
-        np.asarray(cv2.remap(image, *both, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT))
-        for image, both in zip((left, right), maps)
-    ]
+    flat_left, flat_right = (
+        np.asarray(cv2.remap(image, *both, cv2.INTER_LINEAR)) for image, both in zip((left, right), maps)
+    )
     height, width = left.shape[:2]
     covered = (maps[0][0] >= 0) & (maps[0][0] <= width - 1) & (maps[0][1] >= 0) & (maps[0][1] <= height - 1)
-    disparity = np.where(covered, disparity_of(*turned, settings), np.nan)
+    disparity = np.where(covered, disparity_of(flat_left, flat_right, settings), np.nan)
     focal = rectification.intrinsics[0, 0]
     depth = focal * rectification.baseline / np.where(disparity > 0, disparity, np.nan)
-    return RectifiedPair(*turned, disparity, rectification.points(disparity), depth, covered)
+    return RectifiedPair(flat_left, flat_right, disparity, rectification.points(disparity), depth, covered)

@@ -50,15 +50,21 @@ def open_board_sources(paths: Sequence[Path], names: Sequence[str] = ()) -> Boar
     """
     if not paths:
         raise UsageError("No images were given; name a folder of images or a video for each camera.")
-    given = {name: source for name, source in _cameras([Path(path) for path in paths])}
+    given = dict(_cameras([Path(path) for path in paths]))
     if names and len(names) != len(given):
         raise UsageError(f"{len(given)} cameras need as many names, not {len(names)}.")
     chosen = tuple(names) or tuple(given)
     sources = tuple(given.values())
-    pairing = pair_frames(sources, chosen, remedy="number the images of all cameras alike") if len(sources) > 1 else (
-        Pairing(sources[0].frame_ids, np.arange(len(sources[0]))[:, None], sources[0].times, "the only camera")
-    )  # fmt: skip
+    pairing = _pairing(sources, chosen)
     return BoardSources(chosen, tuple(source.path for source in sources), sources, pairing)
+
+
+def _pairing(sources: Sequence[FrameSource], names: Sequence[str]) -> Pairing:
+    """Which frames belong together; of one camera each is alone."""
+    if len(sources) > 1:
+        return pair_frames(sources, names, remedy="number the images of all cameras alike")
+    only = sources[0]
+    return Pairing(only.frame_ids, np.arange(len(only))[:, None], only.times, "the only camera")
 
 
 def _cameras(paths: list[Path]) -> list[tuple[str, FrameSource]]:

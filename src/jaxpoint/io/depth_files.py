@@ -31,7 +31,7 @@ def write_image(path: Path, image: UInt8[np.ndarray, "H W 3"]) -> None:
 def write_maps(path: Path, maps: dict[str, np.ndarray]) -> None:
     """Arrays as `.npz`, whole or not at all."""
     with replacing(path) as file:
-        np.savez_compressed(file, **maps)
+        np.savez_compressed(file, allow_pickle=False, **maps)
 
 
 def _sixteen_bits(values: Float[np.ndarray, "H W"], scale: float) -> np.ndarray:

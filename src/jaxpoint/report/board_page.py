@@ -86,8 +86,8 @@ def _subtitle(calibration: Calibration, figures: Mapping[str, Any]) -> str:
 
 def _sections(detection: BoardDetection | None, more: Mapping[str, Any], cameras: int) -> list[tuple[str, str]]:
     return [
-        ("verdict", "Verdict"), ("next", "What to do"), ("lenses", "Lenses"), ("coverage", "Coverage"), ("views", "Views"),
-        ("residuals", "Fit"), *([("pairs", "Cameras")] if cameras > 1 else []),
+        ("verdict", "Verdict"), ("next", "What to do"), ("lenses", "Lenses"), ("coverage", "Coverage"),
+        ("views", "Views"), ("residuals", "Fit"), *([("pairs", "Cameras")] if cameras > 1 else []),
         *([("rectified", "Rectified")] if more.get("rectified") else []),
         *([("worst", "Worst views")] if detection is not None else []), ("provenance", "Provenance"),
     ]  # fmt: skip
@@ -98,8 +98,8 @@ def _judge(quality: Quality, figures: Mapping[str, Any]) -> Judgement:
         return Judgement("bad", "Not to be trusted", f"Do not use it yet. {quality.failure}", list(quality.checks))
     errors, used = figures["reprojection"], figures["observations"]
     facts = (
-        f"{used['used']:,} of {used['total']:,} corners fit, with {errors['rms_px']:.3f} px (rms) between where they were "
-        "found and where the calibration says they are"
+        f"{used['used']:,} of {used['total']:,} corners fit, with {errors['rms_px']:.3f} px (rms) between where they "
+        "were found and where the calibration says they are"
     )
     care = [item.finding for item in quality.findings if item.level == "care"]
     if care:
@@ -159,6 +159,10 @@ def _drawn(calibration: Calibration, views: list[ViewFit], names: tuple[str, ...
         scatters = pair_scatter(calibration)
         if scatters:
             drawn["pairs"] = figures_boards.pair_shifts(scatters, names)
+        if len(names) == 1:  # as wide as one of two
+            for one in ("coverage", "field"):
+                width, height = drawn[one].get_size_inches()
+                drawn[one].set_size_inches(0.62 * width, 0.62 * height)
         made = {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
     return {"certainty": None, "pairs": None, **made}
 

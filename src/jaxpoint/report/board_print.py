@@ -45,7 +45,8 @@ def svg_of(board: AbstractBoard) -> str:
         f'<rect width="{width:.4f}" height="{whole:.4f}" fill="#fff"/>\n'
         f'<path d="{dark}" fill="#000" shape-rendering="crispEdges"/>\n'
         f'<path d="M{left:.4f} {y:.4f}h{ruler:.4f}{ticks}" stroke="#000" stroke-width="0.2" fill="none"/>\n'
-        f'<text x="{left:.4f}" y="{y + 4:.4f}" font-family="sans-serif" font-size="{TEXT_MM}">{_caption(board)}</text>\n'
+        f'<text x="{left:.4f}" y="{y + 4:.4f}" font-family="sans-serif" font-size="{TEXT_MM}">'
+        f"{_caption(board)}</text>\n"
         "</svg>\n"
     )
 

@@ -72,7 +72,7 @@ def _certainty(calibration: Calibration, camera: int, found: np.ndarray | None, 
     image = ax.imshow(shown, norm=LogNorm(LEAST_PX, MOST_PX), cmap="viridis_r", extent=extent, interpolation="bilinear")
     seen = calibration.tracks.pixels[calibration.kept[:, camera], camera]
     ax.scatter(
-        *seen[:: max(len(seen) // 1500, 1)].T, s=1.2, color="white", alpha=0.5, edgecolors="none", rasterized=True
+        *seen[:: max(len(seen) // 1500, 1)].T, s=3.0, color="white", alpha=0.5, edgecolors="none", rasterized=True
     )
     place = where_next(calibration, camera)
     if place is not None:

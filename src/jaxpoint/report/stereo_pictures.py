@@ -19,18 +19,15 @@ def stereo_sheets(
     """Captions and RGB pictures; `length` is the unit of depths."""
     rows = np.concatenate([_lined(pair.left), _lined(pair.right)], axis=1)
     beside = np.concatenate([_small(originals[0]), _small(pair.left)], axis=1)
-    low, high = _range(pair.depth)
+    (low, high), nearest = _range(pair.depth), _range(pair.disparity)
     return [
         ("Rectified left and right: what is on a line here is on the same line there.", rows),
         ("The left image as recorded, and rectified: straight edges are straight.", beside),
         (
-            f"Disparity of the left image, {np.nanmin(pair.disparity):.0f} to {np.nanmax(pair.disparity):.0f} px; grey: "
-            "holes, where the two images do not agree."
-            if np.isfinite(pair.disparity).any()
-            else "Disparity: none was found.",
+            f"Left: disparity, {nearest[0]:.0f} to {nearest[1]:.0f} px. Right: depth, {low:.2f} to {high:.2f} {length};"
+            " blue is the lower end. Grey: holes, where the two images do not agree or show nothing.",
             np.concatenate([coloured(pair.disparity), coloured(pair.depth, low, high)], axis=1),
         ),
-        (f"Left: disparity. Right: depth, {low:.2f} (blue) to {high:.2f} {length} (red).", _scale()),
     ]
 
 
@@ -51,11 +48,6 @@ def coloured(
 def _range(values: Float[np.ndarray, "H W"]) -> tuple[float, float]:
     known = values[np.isfinite(values)]
     return (float(np.quantile(known, 0.02)), float(np.quantile(known, 0.98))) if known.size else (0.0, 1.0)
-
-
-def _scale() -> Picture:
-    ramp = np.tile(np.linspace(0, 255, 2 * WIDTH).astype(np.uint8), (16, 1))
-    return np.asarray(cv2.applyColorMap(ramp, cv2.COLORMAP_TURBO)[..., ::-1])
 
 
 def _small(image: np.ndarray) -> Picture:
