@@ -144,6 +144,6 @@ def _summary(figures: dict[str, Any]) -> tuple[str, ...]:
     if errors["rms_px"] is None:
         return ("no corner was kept",)
     return (
-        f"rms {errors['rms_px']:.3f} px, mean {errors['mean_px']:.3f} px over {used['used']} of {used['total']} corners "
-        f"in {figures['views']} views, {figures['seconds']['total']:.1f} s",
+        f"rms {errors['rms_px']:.3f} px, mean {errors['mean_px']:.3f} px over {used['used']} of {used['total']} "
+        f"corners in {figures['views']} views, {figures['seconds']['total']:.1f} s",
     )

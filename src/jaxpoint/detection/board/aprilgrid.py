@@ -17,6 +17,8 @@ from jaxpoint.targets import SIZE_SIGMA, Target
 FAMILY, BORDERS = "DICT_APRILTAG_36h11", (2, 1)  # black modules around the bits: Kalibr's two, and the usual one
 LEAST_TAGS = 3
 WINDOW_PX, WINDOW_SHARE = 4, 0.2
+NEIGHBOURS = 12  # corners that predict one,
+FAR, LEAST_FAR_PX = 0.05, 2.0  # and how far off (of their spacing, and at least) it is drawn away by something
 AGREE = 0.4  # of a tag: corners farther from the grid's homography belong to something else; lenses bend it too
 
 
@@ -65,12 +67,35 @@ class AprilGrid(AbstractBoard):
         numbers, corners = self._on_grid(*seen)
         if len(numbers) < LEAST_TAGS:
             return None
-        pixels = corners.reshape(-1, 2)
+        ids = (4 * numbers[:, None] + np.arange(4)).ravel()
+        pixels = self._by_neighbours(ids, corners.reshape(-1, 2))
         half = int(np.clip(WINDOW_SHARE * corner_spacing_px(pixels), 1, WINDOW_PX))
         end = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
-        pixels = cv2.cornerSubPix(grey, pixels.astype(np.float32)[:, None].copy(), (half, half), (-1, -1), end)[:, 0]
-        ids = (4 * numbers[:, None] + np.arange(4)).ravel()
-        return BoardCorners(ids, pixels.astype(float), edge_width_px(grey, pixels))
+        there = cv2.cornerSubPix(grey, pixels.astype(np.float32)[:, None].copy(), (half, half), (-1, -1), end)[:, 0]
+        near = np.linalg.norm(there - pixels, axis=1) <= max(LEAST_FAR_PX, FAR * corner_spacing_px(pixels))
+        if near.sum() < self.least_corners:
+            return None
+        return BoardCorners(ids[near], there[near].astype(float), edge_width_px(grey, there[near]))
+
+    def _by_neighbours(
+        self, ids: Int[np.ndarray, " K"], pixels: Float[np.ndarray, "K 2"]
+    ) -> Float[np.ndarray, "K 2"]:
+        """Each corner where the homography of those around it has it, if it lies far from there.
+
+        The small squares between tags touch their corners, and now and then draw one of a tag's corners away.
+        """
+        flat = self._corners()[ids]
+        far = max(LEAST_FAR_PX, FAR * corner_spacing_px(pixels)) / 2
+        found = pixels.copy()
+        for own, place in enumerate(flat):
+            around = np.argsort(np.linalg.norm(flat - place, axis=1))[1 : NEIGHBOURS + 1]
+            local, _ = cv2.findHomography(flat[around], pixels[around], cv2.LMEDS)
+            if local is None:
+                continue
+            there = cv2.perspectiveTransform(place.reshape(1, 1, 2), local)[0, 0]
+            if np.linalg.norm(there - pixels[own]) > far:
+                found[own] = there
+        return found
 
     def _tags(
         self, detector: cv2.aruco.ArucoDetector, grey: UInt8[np.ndarray, "H W"]
@@ -111,6 +136,7 @@ class AprilGrid(AbstractBoard):
         for border in BORDERS:
             parameters = cv2.aruco.DetectorParameters()
             parameters.markerBorderBits = border
+            parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
             detectors.append(cv2.aruco.ArucoDetector(dictionary_of(FAMILY), parameters))
         return detectors
 
