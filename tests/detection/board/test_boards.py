@@ -183,7 +183,9 @@ def test_descriptions_that_are_none_are_refused(spec, message):
 
 def test_a_board_from_toml(tmp_path):
     file = tmp_path / "board.toml"
-    file.write_text('[board]\nkind = "charuco"\ncolumns = 7\nrows = 5\nsquare = "40mm"\nmarker = "3cm"\nsize_sigma = 0.01\n')
+    file.write_text(
+        '[board]\nkind = "charuco"\ncolumns = 7\nrows = 5\nsquare = "40mm"\nmarker = "3cm"\nsize_sigma = 0.01\n'
+    )
     board = read_board(str(file))
     assert board.spec == SPECS[2]
     assert board.target.size_sigma == 0.01

@@ -77,9 +77,7 @@ class AprilGrid(AbstractBoard):
             return None
         return BoardCorners(ids[near], there[near].astype(float), edge_width_px(grey, there[near]))
 
-    def _by_neighbours(
-        self, ids: Int[np.ndarray, " K"], pixels: Float[np.ndarray, "K 2"]
-    ) -> Float[np.ndarray, "K 2"]:
+    def _by_neighbours(self, ids: Int[np.ndarray, " K"], pixels: Float[np.ndarray, "K 2"]) -> Float[np.ndarray, "K 2"]:
         """Each corner where the homography of those around it has it, if it lies far from there.
 
         The small squares between tags touch their corners, and now and then draw one of a tag's corners away.

@@ -68,9 +68,7 @@ class Chessboard(AbstractBoard):
     def _search(self, grey: UInt8[np.ndarray, "H W"]) -> Float[np.ndarray, "K 2"] | None:
         size, scale = (self.columns, self.rows), min(1.0, SEARCH_WIDTH / grey.shape[1])
         small = grey if scale == 1.0 else cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        there, corners = cv2.findChessboardCorners(small, size, flags=FLAGS | cv2.CALIB_CB_FAST_CHECK)
-        if not there:
-            there, corners = cv2.findChessboardCorners(small, size, flags=FLAGS)
+        there, corners = cv2.findChessboardCorners(small, size, flags=FLAGS)
         if not there:
             there, corners = cv2.findChessboardCornersSB(small, size, flags=SECTOR_FLAGS)
         return (corners.reshape(-1, 2) + 0.5) / scale - 0.5 if there else None
