@@ -35,7 +35,7 @@ from jaxpoint.tracks import Tracks
 
 Progress = Callable[[str, int, int], None]
 FULL, FISHEYE = "brown", "fisheye"  # what `auto` chooses from
-WIDE, VERY_WIDE = 0.75, 1.25  # rad off the axis: a fisheye is tried too, and beyond the second nothing else
+WIDE, VERY_WIDE = 0.75, 1.0  # rad off the axis: a fisheye is tried too, and beyond the second nothing else
 SQUARE = 0.02  # sigma of a log aspect: boards tell it to 0.1 %, where they tell it at all
 WORTH = 4.0  # fall of the objective for every coefficient more
 
