@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,8 @@ from jaxpoint.report.depth_page import write_depth_page
 from jaxpoint.report.stereo_pictures import stereo_sheets
 from jaxpoint.runs import new_run, provenance, write_json
 
+NEARER = 1.2  # disparity over that of the nearest board
+
 
 @dataclass(frozen=True)
 class StereoResults:
@@ -49,8 +51,10 @@ class StereoResults:
     ) -> tuple[tuple[str, ...], dict[str, Any]]:
         """Write everything into the folder, add figures, and return lines and what a page shows."""
         rectification, maps = self.rectification, maps_of(self.rig, self.rectification)
+        corners = rectified_corners(self.rig, rectification, calibration)
+        dense = _reaching(self.dense, corners)
         frame, originals = self._pair()
-        pair = rectify_pair(*originals, maps, rectification, self.dense)
+        pair = rectify_pair(*originals, maps, rectification, dense)
         write_json(folder / "rectification.json", rectification_json(rectification, self.rig, self.unit))
         names = ("left_x", "left_y", "right_x", "right_y")
         write_maps(folder / "maps.npz", dict(zip(names, (*maps[0], *maps[1]))))
@@ -61,7 +65,7 @@ class StereoResults:
             write_depth(folder / "depth_mm.png", pair.depth)
         points, colors = self._cloud(pair)
         write_ply(folder / "points.ply", points, colors)
-        rows = row_errors(self.rig, rectification, calibration)
+        rows = None if corners is None else corners[0][:, 1] - corners[1][:, 1]
         found = {
             "baseline": rectification.baseline,
             "baseline_unit": self.unit,
@@ -69,7 +73,7 @@ class StereoResults:
             "rows_rms_px": None if rows is None else float(np.sqrt((rows**2).mean())),
             "rows_max_px": None if rows is None else float(np.abs(rows).max()),
             "frame": frame,
-            "disparities": disparities_of(pair.left.shape[1], self.dense),
+            "disparities": disparities_of(pair.left.shape[1], dense),
             "filled": pair.filled,
             "points": len(points),
             "median_depth": float(np.nanmedian(pair.depth)) if np.isfinite(pair.depth).any() else None,
@@ -128,17 +132,25 @@ def _encoded(sheets):
     return encoded(sheets)
 
 
-def row_errors(rig: CameraRig, rectification: Rectification, calibration: Calibration | None) -> np.ndarray | None:
-    """By how many rows the corners that both cameras saw differ after rectification, px; None without any."""
+def rectified_corners(
+    rig: CameraRig, rectification: Rectification, calibration: Calibration | None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where the corners that both cameras saw lie in the rectified images, px (N, 2) each; None without any."""
     if calibration is None:
         return None
-    both = calibration.kept.all(axis=1)
-    pixels = calibration.tracks.pixels[both]
+    pixels = calibration.tracks.pixels[calibration.kept.all(axis=1)]
     (left, first), (right, second) = (
         rectified_pixels(rectification, rig[which], which, pixels[:, which]) for which in range(2)
     )
     good = first & second
-    return left[good, 1] - right[good, 1] if good.any() else None
+    return (left[good], right[good]) if good.any() else None
+
+
+def _reaching(dense: StereoSettings, corners: tuple[np.ndarray, np.ndarray] | None) -> StereoSettings:
+    """The settings with disparities up to those of the nearest board."""
+    if dense.disparities or corners is None:
+        return dense
+    return replace(dense, disparities=int(NEARER * (corners[0][:, 0] - corners[1][:, 0]).max(initial=1.0)))
 
 
 def rectification_json(rectification: Rectification, rig: CameraRig, unit: str) -> dict[str, Any]:

@@ -12,7 +12,8 @@ class StereoSettings:
     """How disparities are found, by OpenCV's semi-global matching."""
 
     disparities: Count = 0
-    """Largest disparity, px, a multiple of 16; 0 takes a fifth of the image's width."""
+    """Largest disparity, px; 0 takes what the nearest board had and a fifth more, without a board a quarter of the
+    image's width."""
     block: Count = 5
     """Side of the blocks that are matched, px, an odd number."""
     agree_px: Positive = 1.0

@@ -22,7 +22,7 @@ def sgbm_disparity(
 def disparity_of(
     left: UInt8[np.ndarray, "H W 3"], right: UInt8[np.ndarray, "H W 3"], settings: StereoSettings
 ) -> Float[np.ndarray, "H W"]:
-    """Disparities of the left image that the right image's confirm, px; NaN in holes.
+    """Disparities of the left image that the right image's do not deny, px; NaN in holes.
 
     What one image shows and the other does not (occlusions) is matched to something all the same; the right image's
     own disparities do not come back to it.
@@ -34,8 +34,8 @@ def disparity_of(
     there = np.rint(columns - np.nan_to_num(found)).astype(int)
     inside = there >= 0
     other = back[rows, np.where(inside, there, 0)]
-    agree = inside & (np.abs(other - found) <= settings.agree_px)
-    return np.where(agree, found, np.nan)
+    denied = np.abs(other - found) > settings.agree_px  # False where the right image's own disparity is unknown
+    return np.where(inside & ~denied, found, np.nan)
 
 
 def _matcher(width: int, settings: StereoSettings) -> cv2.StereoSGBM:
@@ -56,4 +56,4 @@ def _matcher(width: int, settings: StereoSettings) -> cv2.StereoSGBM:
 
 def disparities_of(width: int, settings: StereoSettings) -> int:
     """The number of disparities that are tried, a multiple of 16."""
-    return max(16 * -(-(settings.disparities or width // 5) // 16), 16)
+    return max(16 * -(-(settings.disparities or width // 4) // 16), 16)

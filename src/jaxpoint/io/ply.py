@@ -12,11 +12,9 @@ def write_ply(path: StrPath, points: Float[np.ndarray, "N 3"], colors: UInt8[np.
     """Write points (m) with their colours (red, green, blue), whole or not at all.
 
     Raises:
-        ValueError: a coordinate is not finite, or colours are of another number.
+        ValueError: a coordinate is not finite.
         OSError: the folder is missing or not writable.
     """
-    if len(points) != len(colors):
-        raise ValueError(f"{len(points)} points need as many colours, not {len(colors)}.")
     if not np.isfinite(points).all():
         raise ValueError(f"{int((~np.isfinite(points)).sum())} coordinates are not finite; leave these points out.")
     kind = [(axis, "<f4") for axis in "xyz"] + [(color, "u1") for color in ("red", "green", "blue")]
