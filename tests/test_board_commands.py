@@ -78,7 +78,7 @@ def test_usage_errors(images, tmp_path, capsys):
     assert (code, "Stereo takes two cameras, and 1 were given" in said) == (2, True)
     code, _, said = run(capsys, "stereo", *images, "--out", tmp_path / "a")
     assert (code, "either --board" in said) == (2, True)
-    code, _, said = run(capsys, "stereo", *images, *BOARD, "--out", tmp_path / "a", "--dense.block", "4")
+    code, _, said = run(capsys, "stereo", *images, *BOARD, "--out", tmp_path / "a", "--stereo.block", "4")
     assert (code, "odd number, not 4" in said) == (2, True)
     assert not (tmp_path / "a").exists()
 
@@ -116,7 +116,7 @@ def test_the_board_lies_as_far_as_the_depths_say(stereo_run):
 def test_depth_of_a_calibrated_pair(stereo_run, images, tmp_path, capsys):
     out = tmp_path / "depth"
     known = ("--calibration", stereo_run, "left", "right")
-    same = ("--dense.disparities", json.loads((stereo_run / "metrics.json").read_text())["stereo"]["disparities"])
+    same = ("--stereo.disparities", json.loads((stereo_run / "metrics.json").read_text())["stereo"]["disparities"])
     code, said, _ = run(capsys, "stereo", *images, *known, *same, "--frame", 3, "--out", out)
     assert code == 0
     assert "baseline 83.2 mm" in said

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxpoint.calibration.board_calibration import calibrate_boards
+from jaxpoint.calibration.board_calibration import calibrate_boards, is_from_boards
 from jaxpoint.calibration.board_figures import lens_sigma_map, view_fits, where_next
 from jaxpoint.calibration.board_quality import assess_boards
 from jaxpoint.calibration.covariance import with_board_covariance
 from jaxpoint.calibration.lens_start import FlatView, lens_starts, zhang_focal
 from jaxpoint.calibration.pair_poses import pair_scatter
 from jaxpoint.calibration.planar_pose import flipped_pose, pose_from_rays
+from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.config import CalibrateSettings, LensSettings, OutlierSettings
@@ -137,6 +138,12 @@ def test_where_the_lens_is_known_worst(left):
     middle, corner = found[5:7, 7:9].mean(), found[-1, 0]
     assert middle < 0.1 < corner
     assert where_next(left, 0)[1] in ("lower left", "upper left")
+
+
+def test_calibrate_starts_two_cameras_from_their_boards(pair, both):
+    found = calibrate(pair)
+    assert is_from_boards(found)
+    np.testing.assert_array_equal(np.asarray(found.rig.matrices), np.asarray(both.rig.matrices))
 
 
 def test_known_lenses_are_held(pair, left, both):

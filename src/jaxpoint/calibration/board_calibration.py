@@ -36,6 +36,7 @@ from jaxpoint.tracks import Tracks
 Progress = Callable[[str, int, int], None]
 FULL, FISHEYE = "brown", "fisheye"  # what `auto` chooses from
 WIDE, VERY_WIDE = 0.75, 1.0  # rad off the axis: a fisheye is tried too, and beyond the second nothing else
+ALONE = "Each camera by itself"  # the stage that only these calibrations have
 SQUARE = 0.02  # sigma of a log aspect: boards tell it to 0.1 %, where they tell it at all
 WORTH = 4.0  # fall of the objective for every coefficient more
 
@@ -75,14 +76,17 @@ def calibrate_boards(
         return _Solver(tracks, recording, settings, intrinsics, progress or (lambda what, done, total: None)).run()
 
 
-def board_frames(tracks: Tracks) -> np.ndarray:
-    """(C,) frames in which each camera saw enough of a flat target to tell its pose."""
-    seen = np.zeros(tracks.cameras, int)
-    for number, target in enumerate(tracks.targets):
-        if target.width > 0 and np.ptp(target.centred[:, 2]) < 1e-6 * target.width:
-            rows = tracks.rows_of_target(number, np.ones(tracks.frames, bool))
-            seen += (((rows >= 0)[..., None] & tracks.visible[rows]).sum(axis=1) >= 6).sum(axis=0)
-    return seen
+def is_from_boards(calibration: Calibration) -> bool:
+    """Whether `calibrate_boards` made it."""
+    return any(stage.name == ALONE for stage in calibration.stages)
+
+
+def boards_alone(tracks: Tracks) -> bool:
+    """Whether the tracks are of flat targets and of nothing else."""
+    if not tracks.targets or tracks.target_ids is None or tracks.prior is not None:
+        return False
+    flat = [target.width > 0 and np.ptp(target.centred[:, 2]) < 1e-6 * target.width for target in tracks.targets]
+    return all(flat) and bool((tracks.target_ids >= 0).all())
 
 
 @dataclass
@@ -145,7 +149,7 @@ class _Solver:
         settled = self._finished(refine_to_convergence(self.recording, judged, freedom, self._outliers), freedom)
         self.progress("all together", 1, 1)
         figures = {name: [round(float(value), 4) for value in lens_of(view)] for name, view in zip(names, views)}
-        return Solution(settled, freedom), (Stage("Each camera by itself", figures),)
+        return Solution(settled, freedom), (Stage(ALONE, figures),)
 
     def _finished(self, settled: Settled, freedom: Freedom) -> Settled:
         """The inliers at their very optimum: judging them leaves poses where a robust loss has them."""

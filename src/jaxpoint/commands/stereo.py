@@ -42,15 +42,15 @@ class Stereo(Options):
     """Look for the board in every so many frames; 0 takes all images, and of videos 300 frames at most."""
     lens: LensSettings = field(default_factory=LensSettings)
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
-    dense: StereoSettings = field(default_factory=StereoSettings)
+    stereo: StereoSettings = field(default_factory=StereoSettings)
     room: tyro.conf.Suppress[RoomConfig] = field(default_factory=RoomConfig)
 
     @staticmethod
     def with_defaults(room: RoomConfig) -> Stereo:
         """The command's defaults under a configuration file."""
         return Stereo(
-            sources=tyro.MISSING, lens=room.calibrate.lens, outliers=room.calibrate.outliers, room=room,
-            runtime=room.runtime,
+            sources=tyro.MISSING, lens=room.calibrate.lens, outliers=room.calibrate.outliers, stereo=room.stereo,
+            room=room, runtime=room.runtime,
         )  # fmt: skip
 
     def run(self, console: Console) -> Outcome:
@@ -60,8 +60,8 @@ class Stereo(Options):
 
         if (self.board is None) == (self.calibration is None):
             raise UsageError("Give either --board, to calibrate the two cameras, or --calibration RUN LEFT RIGHT.")
-        if not self.dense.block % 2:
-            raise UsageError(f"--dense.block must be an odd number, not {self.dense.block}.")
+        if not self.stereo.block % 2:
+            raise UsageError(f"--stereo.block must be an odd number, not {self.stereo.block}.")
         out, sources = self.needed_folder("runs/stereo"), open_board_sources(self.sources)
         if len(sources.names) != 2:
             raise UsageError(
@@ -84,10 +84,10 @@ class Stereo(Options):
         with console.progress() as progress:
             detection = detect_board(sources, board, every=self.every, progress=progress)
             solved = with_board_covariance(calibrate_boards(detection.tracks, settings, progress=progress))
-        room = replace(self.room, calibrate=settings, runtime=self.runtime)
+        room = replace(self.room, calibrate=settings, stereo=self.stereo, runtime=self.runtime)
 
         def more(folder: Path, figures: dict[str, Any]) -> tuple[tuple[str, ...], dict[str, Any]]:
-            results = StereoResults(solved.rig, sources, self.dense, self._frame(detection.tracks.frame_ids))
+            results = StereoResults(solved.rig, sources, self.stereo, self._frame(detection.tracks.frame_ids))
             return results.write(folder, figures, solved)
 
         given = [path for path in (*self.sources, self.config) if path is not None]
@@ -115,7 +115,7 @@ class Stereo(Options):
                     f"camera '{name}' with {known[0]} x {known[1]}; use the calibration of this recording."
                 )
         rig = CameraRig(chosen.cameras, chosen.image_sizes, tuple(names), chosen.reach)
-        results = StereoResults(rig, sources, self.dense, self._frame(sources.pairing.frame_ids), saved.unit)
+        results = StereoResults(rig, sources, self.stereo, self._frame(sources.pairing.frame_ids), saved.unit)
         return write_depth_outcome(results, out, inputs=[path, *self.sources], force=self.force)
 
     def _frame(self, frame_ids: Any) -> int | None:
