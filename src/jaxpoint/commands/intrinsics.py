@@ -73,6 +73,6 @@ class Intrinsics(Options):
         room = replace(self.room, calibrate=settings, runtime=self.runtime)
         given = [path for path in (*self.images, self.config) if path is not None]
         return write_board_outcome(
-            with_board_covariance(solved), detection, out, room, title=f"Lens of {sources.names[-1]}",
+            with_board_covariance(solved), detection, out, room, title=f"Lens of {detection.names[0]}",
             sources=given, force=self.force,
         )  # fmt: skip
