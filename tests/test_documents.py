@@ -35,7 +35,9 @@ COMMANDS = sorted(
         line.strip()
         for text in PAGES.values()
         for line in re.findall(
-            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo|point) [^`#\n]*", text
+            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo|point|board|intrinsics"
+            r"|stereo|undistort) [^`#\n]*",
+            text,
         )
         if len(line.split()) > (3 if line.split()[1] in ("detect", "objects", "bias") else 2)
     }
@@ -82,7 +84,11 @@ def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
     run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2), ("docs/extend.md", 3)}
-    imported = {("docs/guides/uncertainty.md", 0), ("docs/guides/clusters.md", 0)}  # by tests/test_public.py
+    imported = {
+        ("docs/guides/uncertainty.md", 0),
+        ("docs/guides/clusters.md", 0),
+        ("docs/guides/boards.md", 0),
+    }  # by tests/test_public.py
     assert shown == run | imported
 
 

@@ -3,10 +3,14 @@ from .tracks import PointPrior as PointPrior, Tracks as Tracks, join_tracks as j
 from .targets import Target as Target
 from .io.track_files import read_tracks as read_tracks
 from .detection.light.led import detect_led as detect_led
+from .detection.board.board_search import detect_board as detect_board
+from .detection.board.board_spec import read_board as read_board
+from .io.board_sources import open_board_sources as open_board_sources
 from .config import LedSettings as LedSettings
 
 # Calibration
 from .calibration.selfcal import calibrate as calibrate
+from .calibration.board_calibration import calibrate_boards as calibrate_boards
 from .config import CalibrateSettings as CalibrateSettings
 from .calibration.result import (
     Calibration as Calibration,

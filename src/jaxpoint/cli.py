@@ -26,15 +26,18 @@ from jaxpoint.commands.align import Align
 from jaxpoint.commands.bias_apply import BiasApply
 from jaxpoint.commands.bias_compare import BiasCompare
 from jaxpoint.commands.bias_fit import BiasFit
+from jaxpoint.commands.board import Board
 from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.demo import Demo
+from jaxpoint.commands.detect_board import DetectBoard
 from jaxpoint.commands.detect_led import DetectLed
 from jaxpoint.commands.detect_marker import DetectMarker
 from jaxpoint.commands.detect_person import DetectPerson
 from jaxpoint.commands.diff import Diff
 from jaxpoint.commands.doctor import Doctor
+from jaxpoint.commands.intrinsics import Intrinsics
 from jaxpoint.commands.kept_programs import programs_folder, trim_programs
 from jaxpoint.commands.objects_add import ObjectsAdd
 from jaxpoint.commands.objects_check import ObjectsCheck
@@ -42,12 +45,15 @@ from jaxpoint.commands.objects_list import ObjectsList
 from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
+from jaxpoint.commands.stereo import Stereo
+from jaxpoint.commands.undistort import Undistort
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, check_settings, load_config
 from jaxpoint.errors import InsufficientDataError, JaxpointError, MissingDependencyError
 
 Command = (
     DetectLed
+    | DetectBoard
     | DetectPerson
     | DetectMarker
     | ObjectsAdd
@@ -65,6 +71,10 @@ Command = (
     | Demo
     | Simulate
     | Point
+    | Board
+    | Intrinsics
+    | Stereo
+    | Undistort
 )
 COMMANDS = get_args(Command)
 GROUPS = {

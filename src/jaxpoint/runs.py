@@ -187,7 +187,7 @@ def write_run(
         write_run_report(folder, calibration, config, quality, figures, made, notes)
 
     with new_run(out, force, report) as folder:
-        _save(folder, calibration, config, figures, made)
+        save_files(folder, calibration, config, figures, made)
     return figures
 
 
@@ -202,11 +202,11 @@ def save_run(
     quality = assess(calibration, config.calibrate, config.align)
     figures, made = metrics(calibration, quality=quality), provenance(command, (), calibration.seed)
     folder.mkdir()
-    _save(folder, calibration, config, figures, made)
+    save_files(folder, calibration, config, figures, made)
     return lambda place, missing: write_run_report(place, calibration, config, quality, figures, made, missing)
 
 
-def _save(
+def save_files(
     folder: Path, calibration: Calibration, config: RoomConfig, figures: dict[str, Any], made: dict[str, Any]
 ) -> None:
     """All results of a run; nothing that only shows them."""

@@ -6,7 +6,10 @@ from .alignment import (
     apply_alignment as apply_alignment,
     umeyama as umeyama,
 )
+from .board_calibration import calibrate_boards as calibrate_boards
+from .board_quality import assess_boards as assess_boards
 from .chain import Chain as Chain, Measured as Measured, chain_of as chain_of
+from .covariance import with_board_covariance as with_board_covariance
 from .difference import Difference as Difference
 from .expected import ExpectedError as ExpectedError, expected_error as expected_error
 from .extension import extend_calibration as extend_calibration

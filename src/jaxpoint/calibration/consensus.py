@@ -39,6 +39,13 @@ def consensus(recording: Recording, state: RigState, threshold: float) -> Consen
     return Consensus(np.asarray(points), np.asarray(agree), np.asarray(placed), np.asarray(ambiguous))
 
 
+def no_consensus(recording: Recording) -> Consensus:
+    """No point at all, where nothing but poses and known points places rows."""
+    rows = len(recording.pixels)
+    nothing = np.zeros(rows, bool)
+    return Consensus(np.zeros((rows, 3)), np.zeros(recording.visible.shape, bool), nothing, nothing)
+
+
 def _pairs(recording: Recording) -> np.ndarray:
     """Pairs of cameras that share frames, the most first; padded by repetition to a multiple of 16."""
     visible = recording.visible[:, : recording.cameras].astype(int)

@@ -8,8 +8,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.alignment import Alignment, apply_alignment
+from jaxpoint.calibration.pair_poses import pair_scatter
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.uncertainty import Anchors, Clicks, anchors_of, uncertainty_of
+from jaxpoint.camera.camera import POSE_NAMES
 from jaxpoint.errors import InsufficientDataError, UsageError
 
 
@@ -27,6 +29,23 @@ def with_covariance(calibration: Calibration, anchors: Anchors | None = None) ->
         reason = "The normal equations are singular: the observations do not determine the rig."
         return replace(calibration, camera_covariance=None, gauge=None, undetermined=reason)
     return replace(calibration, camera_covariance=np.asarray(found.covariance), gauge=found.gauge, undetermined="")
+
+
+def with_board_covariance(calibration: Calibration) -> Calibration:
+    """`with_covariance` of a calibration from boards.
+
+    One camera is its own frame: only its lens is uncertain. Where single views of boards put cameras elsewhere by more
+    than the noise of corners explains, the covariance is larger by the square of that ratio (Birge 1932).
+    """
+    found = with_covariance(calibration)
+    covariance = found.camera_covariance
+    if covariance is None:
+        return found
+    if len(found.rig) == 1:
+        lens = np.arange(len(covariance)) >= len(POSE_NAMES)
+        return replace(found, camera_covariance=np.where(lens[:, None] & lens[None, :], covariance, 0.0))
+    ratio = max((scatter.ratio for scatter in pair_scatter(found)), default=1.0)
+    return replace(found, camera_covariance=max(ratio, 1.0) ** 2 * covariance)
 
 
 def aligned_with_covariance(

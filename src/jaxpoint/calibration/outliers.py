@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from jaxpoint.calibration.bodies import Bodies, bodies_of, firm_rows, held_rows
-from jaxpoint.calibration.consensus import consensus
+from jaxpoint.calibration.consensus import consensus, no_consensus
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, project
 from jaxpoint.calibration.result import Verdict
 from jaxpoint.config import OutlierSettings
@@ -42,8 +42,9 @@ def classify_observations(
 
     Points of targets stand where their poses put them, and known points start where they are known to be.
     """
-    found = consensus(recording, state, 1.5 * threshold)
     held = held_rows(recording, state)
+    loose = recording.visible.any(axis=1) & ~held
+    found = consensus(recording, state, 1.5 * threshold) if loose.any() else no_consensus(recording)
     visible = recording.visible & (found.placed | held)[:, None]
     start = replace(state, points=np.where(held[:, None], state.points, found.points))
     placed = place_points(recording, start, visible, loss_scale or threshold / 2.0)

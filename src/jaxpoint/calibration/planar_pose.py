@@ -17,7 +17,7 @@ from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.parameters import FOCAL, lens_parameters
 
 LEAST_POINTS = 4
-AHEAD = 0.1  # of a unit direction along the axis: rays farther off it are left out of a homography
+AHEAD = 0.1  # of a unit direction along the middle one: rays farther off it are left out of a homography
 FLAT = 1e-6  # thickness over width
 
 
@@ -37,14 +37,52 @@ def planar_pose(
     if own.sum() < LEAST_POINTS:
         return None
     directions, valid = rays(state, camera, recording.pixels[rows[own], camera])
-    ahead = valid & (directions[:, 2] > AHEAD)
-    flat = owned.shape[own][ahead, :2]
-    if len(flat) < LEAST_POINTS or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-3 * np.ptp(flat)) < 2:
+    cam_from_target = pose_from_rays(owned.shape[own][valid, :2], directions[valid])
+    if cam_from_target is None:
         return None
-    cam_from_target = from_homography(homography(flat, directions[ahead, :2] / directions[ahead, 2:]))
     rotation, translation = state.rotation[camera], state.cameras[camera, 3:6]
     turn, shift = cam_from_target
     return pose_values((rotation.T @ turn)[None], (rotation.T @ (shift - translation))[None])[0]
+
+
+def pose_from_rays(
+    flat: Float[np.ndarray, "K 2"], directions: Float[np.ndarray, "K 3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]] | None:
+    """Rotation and translation of a plane z = 0 whose points are seen in these directions, also beyond 90 degrees.
+
+    The homography is taken in an image plane across the middle direction, so that the camera's axis does not matter.
+    None where too few points are within reach, or all are on a line.
+    """
+    if len(flat) < LEAST_POINTS:
+        return None
+    middle = directions.sum(axis=0)
+    middle = middle / max(np.linalg.norm(middle), 1e-12)
+    turned = turn_to_axis(middle)
+    local = directions @ turned.T
+    ahead = local[:, 2] > AHEAD
+    flat, local = flat[ahead], local[ahead]
+    if len(flat) < LEAST_POINTS or np.linalg.matrix_rank(flat - flat.mean(axis=0), tol=1e-3 * np.ptp(flat)) < 2:
+        return None
+    rotation, translation = from_homography(homography(flat, local[:, :2] / local[:, 2:]))
+    return turned.T @ rotation, turned.T @ translation
+
+
+def turn_to_axis(direction: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """The smallest rotation that brings a unit direction onto the z axis."""
+    x, y, z = direction
+    if z < -1 + 1e-12:
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.array([[0.0, 0.0, -x], [0.0, 0.0, -y], [x, y, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1 + z)
+
+
+def flipped_pose(
+    rotation: Float[np.ndarray, "3 3"], translation: Float[np.ndarray, "3"]
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+    """The other pose of a plane under which a far or small one looks nearly the same: mirrored in depth."""
+    sight = translation / max(np.linalg.norm(translation), 1e-12)
+    mirror = np.eye(3) - 2.0 * np.outer(sight, sight)
+    return mirror @ rotation @ np.diag([1.0, 1.0, -1.0]), translation
 
 
 def rays(
@@ -79,7 +117,8 @@ def homography(source: Float[np.ndarray, "K 2"], target: Float[np.ndarray, "K 2"
     one, zero = np.ones_like(x), np.zeros_like(x)
     above = np.stack([x, y, one, zero, zero, zero, -u * x, -u * y, -u], axis=1)
     below = np.stack([zero, zero, zero, x, y, one, -v * x, -v * y, -v], axis=1)
-    found = np.linalg.svd(np.concatenate([above, below]))[2][-1].reshape(3, 3)
+    upper = np.linalg.qr(np.concatenate([above, below]), mode="r")  # small, so that no large U is computed
+    found = np.linalg.svd(upper)[2][-1].reshape(3, 3)
     return np.linalg.inv(maps[1]) @ found @ maps[0]
 
 

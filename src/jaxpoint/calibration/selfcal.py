@@ -11,6 +11,7 @@ import numpy as np
 
 from jaxpoint.calibration.aspects import with_stated_aspects
 from jaxpoint.calibration.assembly import MIN_EXPLAINED, assemble_calibration
+from jaxpoint.calibration.board_calibration import boards_alone, calibrate_boards
 from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.initial import Inputs, Start, starts
@@ -50,7 +51,9 @@ def calibrate(
     """Calibrate all cameras from the tracks of one moving light; nothing else need be known.
 
     Targets of known shape (boards, wands) and points of known place may be among the tracks, alone or with a light, and
-    take part in the adjustment: their sizes give it metres, known points the room's frame.
+    take part in the adjustment: their sizes give it metres, known points the room's frame. Tracks of boards alone
+    from one or two cameras are solved by `calibrate_boards`, in the first camera's frame, and with `init = "boards"`
+    all.
 
     Two-view geometry votes on every observation and finds the lenses' distortion; initialisers compete for a first
     solution; a robust bundle adjustment alternates with rounds that judge every observation anew. Priors that the
@@ -75,6 +78,8 @@ def calibrate(
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
     lens_of_choice(first_choice(settings, intrinsics))  # refuses a wrong setting before anything is computed
+    if settings.init == "boards" or (settings.init == "auto" and tracks.cameras <= 2 and boards_alone(tracks)):
+        return calibrate_boards(tracks, settings, intrinsics=intrinsics, progress=progress)
     with jax.enable_x64(True):
         tracks = with_stated_aspects(tracks, settings.lens)
         return _solve_consistently(tracks, settings, intrinsics, progress or _silent)

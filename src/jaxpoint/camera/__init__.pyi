@@ -5,6 +5,7 @@ from .lens import AbstractLens as AbstractLens, Coefficient as Coefficient
 from .lenses import LENSES as LENSES, register_lens as register_lens
 from .pinhole import Pinhole as Pinhole
 from .rational import Rational as Rational
+from .rectification import Rectification as Rectification, rectify as rectify
 from .remap import undistortion_map as undistortion_map
 from .resection import (
     Resection as Resection,

@@ -50,6 +50,7 @@ class Calibrate(Options):
 
     def run(self, console: Console) -> Outcome:
         """Solve, write the run, and judge it."""
+        from jaxpoint.calibration.board_calibration import is_from_boards
         from jaxpoint.calibration.covariance import with_covariance
         from jaxpoint.calibration.selfcal import calibrate
         from jaxpoint.commands.run_outcome import write_outcome
@@ -68,6 +69,14 @@ class Calibrate(Options):
         before = None if self.extend is None else self.extend / "calibration.json"
         given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config, before)
         sources = [path for path in given if path is not None]
+        if is_from_boards(solved):
+            from jaxpoint.calibration.covariance import with_board_covariance
+            from jaxpoint.commands.board_outcome import write_board_outcome
+
+            return write_board_outcome(
+                with_board_covariance(solved), None, out, room, title="Camera calibration from boards",
+                sources=sources, force=self.force,
+            )  # fmt: skip
         return write_outcome(
             solved,
             out,

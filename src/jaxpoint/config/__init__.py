@@ -15,6 +15,7 @@ from jaxpoint.config.room import (
     ValidateSettings,
     load_config,
 )
+from jaxpoint.config.stereo_matching import StereoSettings
 from jaxpoint.config.types import Count, Fraction, Positive, Unit
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "Positive",
     "RoomConfig",
     "RuntimeSettings",
+    "StereoSettings",
     "Unit",
     "ValidateSettings",
     "check_settings",

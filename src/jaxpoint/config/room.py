@@ -16,6 +16,7 @@ from jaxpoint.config.loading import load_settings
 from jaxpoint.config.person import MarkerSettings, PersonSettings
 from jaxpoint.config.pointing import PointSettings
 from jaxpoint.config.simulation import SimulationSettings
+from jaxpoint.config.stereo_matching import StereoSettings
 from jaxpoint.config.track import TrackSettings
 from jaxpoint.config.types import Count, Fraction, Positive, Unit
 
@@ -105,8 +106,9 @@ class OutlierSettings:
 class CalibrateSettings:
     """How a calibration is made from tracks."""
 
-    init: Literal["auto", "factorisation", "thesis", "essential"] = "auto"
-    """First solution; `auto` lets all compete and keeps the one with the lowest robust cost."""
+    init: Literal["auto", "factorisation", "thesis", "essential", "boards"] = "auto"
+    """First solution; `auto` lets all compete and keeps the one with the lowest robust cost. `boards` takes each lens
+    from its own views of boards, and the poses from views together; so does `auto` for one or two cameras."""
     epipolar: EpipolarSettings = field(default_factory=EpipolarSettings)
     lens: LensSettings = field(default_factory=LensSettings)
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
@@ -230,6 +232,7 @@ class RoomConfig:
     validate: ValidateSettings = field(default_factory=ValidateSettings)
     point: PointSettings = field(default_factory=PointSettings)
     simulate: SimulationSettings = field(default_factory=SimulationSettings)
+    stereo: StereoSettings = field(default_factory=StereoSettings)
     runtime: RuntimeSettings = field(default_factory=RuntimeSettings)
 
 

@@ -1,3 +1,7 @@
+from .board.abstract_board import AbstractBoard as AbstractBoard, BoardCorners as BoardCorners
+from .board.board_search import BoardDetection as BoardDetection, detect_board as detect_board
+from .board.board_spec import read_board as read_board
+from .disparity import disparity_of as disparity_of
 from .light.led import (
     DetectionInterrupted as DetectionInterrupted,
     LedDetection as LedDetection,

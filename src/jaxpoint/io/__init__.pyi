@@ -8,6 +8,7 @@ from .calibration import (
     write_calibration_json as write_calibration_json,
     write_calibration_toml as write_calibration_toml,
 )
+from .board_sources import BoardSources as BoardSources, open_board_sources as open_board_sources
 from .head_files import read_heads as read_heads, save_heads as save_heads
 from .survey_files import (
     read_camera_centres as read_camera_centres,
@@ -16,6 +17,7 @@ from .survey_files import (
     read_lengths as read_lengths,
 )
 from .object_files import Database as Database, read_objects as read_objects
+from .ply import write_ply as write_ply
 from .pointing_files import read_pointings as read_pointings, write_pointings as write_pointings
 from .qualisys import read_qualisys as read_qualisys
 from .result_files import load_result as load_result, save_result as save_result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ class ImageFolder(FrameSource):
     them, else the position. Images of more than 8 bits, all alike, are brought to 8 by what the recording holds.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, chosen: Iterable[Path] | None = None):
+        """The images of a folder, or those of one that are chosen."""
         self.path = path
-        files = sorted(filter(_is_frame, path.iterdir()), key=_natural_key)
+        files = sorted(filter(_is_frame, path.iterdir() if chosen is None else chosen), key=_natural_key)
         if not files:
             raise FileFormatError(_without_images(path))
         _refuse_copies(files)

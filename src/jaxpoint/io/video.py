@@ -116,12 +116,14 @@ class VideoFile(FrameSource):
 
 
 def open_frames(path: str | Path) -> FrameSource:
-    """The frames of one camera from a video file or a folder of images.
+    """The frames of one camera from a video file, a folder of images, or some of these (`folder/left*.jpg`).
 
     Raises:
         FileFormatError: no such path, an empty folder, or a video that cannot be decoded.
     """
     path = Path(path)
+    if "*" in path.name and path.parent.is_dir():
+        return ImageFolder(path.parent, path.parent.glob(path.name))
     if path.is_dir():
         return ImageFolder(path)
     if not path.is_file():

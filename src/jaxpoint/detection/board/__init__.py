@@ -1,0 +1,1 @@
+"""Calibration boards in images: one kind of board a file."""

@@ -1,0 +1,103 @@
+"""Where the images of a board lie: a session, or a folder of images, some images, or a video for each camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.io.frames import FrameSource
+from jaxpoint.io.images import IMAGE_SUFFIXES, ImageFolder
+from jaxpoint.io.pairing import Pairing, pair_frames
+from jaxpoint.io.session import recordings
+from jaxpoint.io.video import VideoFile, open_frames
+
+MOST_OF_A_VIDEO = 300  # frames, where nobody says how many
+
+
+@dataclass(frozen=True)
+class BoardSources:
+    """The cameras of a recording, and which of their frames belong together."""
+
+    names: tuple[str, ...]
+    paths: tuple[Path, ...]
+    frames: tuple[FrameSource, ...]
+    pairing: Pairing
+
+    def spread(self, every: int) -> Int[np.ndarray, " F"]:
+        """Rows of the pairing to look at: every so many; with 0 all images, or at most 300 frames of videos."""
+        rows = len(self.pairing.frame_ids)
+        videos = any(isinstance(source, VideoFile) for source in self.frames)
+        step = every or (-(-rows // MOST_OF_A_VIDEO) if videos else 1)
+        return np.arange(0, rows, step)
+
+
+def open_board_sources(paths: Sequence[Path], names: Sequence[str] = ()) -> BoardSources:
+    """The cameras behind some paths.
+
+    Several image files are one camera; a folder of videos or of folders of images (or a session, with a folder
+    `videos`) is one camera each; anything else is one camera: a folder of images, some of one (`folder/left*.jpg`), or
+    a video.
+
+    Raises:
+        FileFormatError: images or a video cannot be read.
+        UsageError: nothing was given, or names that do not fit.
+        InsufficientDataError: frames of several cameras do not say which belong together.
+    """
+    if not paths:
+        raise UsageError("No images were given; name a folder of images or a video for each camera.")
+    given = dict(_cameras([Path(path) for path in paths]))
+    if names and len(names) != len(given):
+        raise UsageError(f"{len(given)} cameras need as many names, not {len(names)}.")
+    chosen = tuple(names) or tuple(given)
+    sources = tuple(given.values())
+    pairing = _pairing(sources, chosen)
+    return BoardSources(chosen, tuple(source.path for source in sources), sources, pairing)
+
+
+def _pairing(sources: Sequence[FrameSource], names: Sequence[str]) -> Pairing:
+    """Which frames belong together; of one camera each is alone."""
+    if len(sources) > 1:
+        return pair_frames(sources, names, remedy="number the images of all cameras alike")
+    only = sources[0]
+    return Pairing(only.frame_ids, np.arange(len(only))[:, None], only.times, "the only camera")
+
+
+def _cameras(paths: list[Path]) -> list[tuple[str, FrameSource]]:
+    """Name and frames of each camera."""
+    if all(path.suffix.lower() in IMAGE_SUFFIXES and "*" not in path.name for path in paths):
+        missing = [path for path in paths if not path.is_file()]
+        if missing:
+            raise FileFormatError(f"There is no image '{missing[0]}'; check the path.")
+        return [("camera", ImageFolder(paths[0].parent, paths))]
+    if len(paths) == 1:
+        inside = _inside(paths[0])
+        if inside:
+            return [(name, open_frames(path)) for name, path in inside.items()]
+    return list(zip(_names(paths), (open_frames(path) for path in paths)))
+
+
+def _inside(folder: Path) -> dict[str, Path]:
+    """The cameras in a session or in a folder of recordings; none in a folder of images."""
+    if not folder.is_dir():
+        return {}
+    own = folder / "videos"
+    return recordings(own if own.is_dir() else folder)
+
+
+def _names(paths: list[Path]) -> list[str]:
+    """The shortest ends of the paths that differ."""
+    parts = [[*path.absolute().parts[1:-1], _stem(path)] for path in paths]
+    for depth in range(1, max(len(part) for part in parts) + 1):
+        names = ["_".join(part[-depth:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    raise UsageError(f"'{paths[0]}' is given twice; name each camera once.")
+
+
+def _stem(path: Path) -> str:
+    return path.name if path.is_dir() else path.stem.replace("*", "").strip("_-. ") or "images"
