@@ -10,7 +10,7 @@ from jaxpoint.camera.rational import Rational
 from jaxpoint.commands.inputs import intrinsics_from
 from jaxpoint.config import InputSettings
 from jaxpoint.errors import FileFormatError, JaxpointError, UsageError
-from jaxpoint.io.calibration import read_calibration, read_lenses
+from jaxpoint.io.exchange import read_calibration, read_lenses
 from jaxpoint.io.lens_entries import read_coefficients
 from jaxpoint.tracks import Tracks
 

@@ -28,6 +28,7 @@ from jaxpoint.commands.bias_fit import BiasFit
 from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
+from jaxpoint.commands.convert import Convert
 from jaxpoint.commands.demo import Demo
 from jaxpoint.commands.detect_led import DetectLed
 from jaxpoint.commands.detect_marker import DetectMarker
@@ -59,6 +60,7 @@ Command = (
     | Align
     | Validate
     | Diff
+    | Convert
     | Doctor
     | Demo
     | Simulate

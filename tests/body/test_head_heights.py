@@ -10,7 +10,8 @@ from test_joint_arms import HEADER, SESSION, landmark_lines
 
 from jaxpoint.body.head_heights import height_remedy
 from jaxpoint.cli import main
-from jaxpoint.io.calibration import read_calibration, write_calibration_toml
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.anipose_toml import write_calibration_toml
 
 TURN = np.diag([1.0, -1.0, -1.0])
 

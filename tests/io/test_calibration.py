@@ -16,13 +16,9 @@ from jaxpoint.camera.camera import POSE_NAMES, Camera
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.rational import Rational
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import (
-    read_calibration,
-    read_calibration_json,
-    read_calibration_toml,
-    write_calibration_json,
-    write_calibration_toml,
-)
+from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.anipose_toml import read_calibration_toml, write_calibration_toml
 from jaxpoint.simulate.rooms import random_room
 
 ROOM = random_room(3, cameras=11)

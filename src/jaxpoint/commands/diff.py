@@ -17,7 +17,7 @@ from jaxpoint.extras import extra
 if TYPE_CHECKING:
     import numpy as np
 
-    from jaxpoint.io.calibration import SavedCalibration
+    from jaxpoint.io.rig_entries import SavedCalibration
     from jaxpoint.report.difference_page import Compared
 
 
@@ -85,7 +85,7 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         InsufficientDataError: they hardly see the same places.
     """
     from jaxpoint.calibration.difference import difference, sampled_places
-    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.exchange import read_calibration
     from jaxpoint.report.difference_page import Compared
 
     one, other = read_calibration(first), read_calibration(second)

@@ -64,7 +64,7 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
         FileFormatError: the file is not what it should be.
         UsageError: a camera is missing in it, or has images of another shape there.
     """
-    from jaxpoint.io.calibration import read_lenses
+    from jaxpoint.io.exchange import read_lenses
     from jaxpoint.io.svoboda import read_rad_folder
 
     path = settings.intrinsics

@@ -193,7 +193,7 @@ def _triangulate_clicks(
     """Points (m), the largest standard deviation of one in any direction (m), and how many cameras took part."""
     import numpy as np
 
-    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.exchange import read_calibration
     from jaxpoint.io.files import read_table
     from jaxpoint.io.rig_entries import needs_metres
     from jaxpoint.landmarks import CLICK_SIGMA_PX, MISCLICK_PX

@@ -127,7 +127,7 @@ class Point(SeededOptions):
         from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
         from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.bias_files import read_bias
-        from jaxpoint.io.calibration import read_calibration
+        from jaxpoint.io.exchange import read_calibration
         from jaxpoint.io.object_scene import read_scene
         from jaxpoint.io.session import check_session, open_session
         from jaxpoint.io.speech import read_times, read_words

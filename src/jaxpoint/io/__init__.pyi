@@ -1,13 +1,21 @@
 from .bias_files import read_bias as read_bias, write_bias as write_bias
 from .landmark_files import read_poses as read_poses
-from .calibration import (
-    SavedCalibration as SavedCalibration,
+from .calibration import write_calibration_json as write_calibration_json
+from .exchange import (
     read_calibration as read_calibration,
-    read_camera_array as read_camera_array,
     read_lenses as read_lenses,
-    write_calibration_json as write_calibration_json,
-    write_calibration_toml as write_calibration_toml,
+    write_calibration as write_calibration,
 )
+from .formats.anipose_toml import write_calibration_toml as write_calibration_toml
+from .formats.calibration_format import (
+    CalibrationFormat as CalibrationFormat,
+    Holds as Holds,
+    Request as Request,
+    SourceFile as SourceFile,
+)
+from .formats.caliscope_toml import read_camera_array as read_camera_array
+from .formats.registry import FORMATS as FORMATS, register_format as register_format
+from .rig_entries import SavedCalibration as SavedCalibration
 from .head_files import read_heads as read_heads, save_heads as save_heads
 from .known_points import (
     read_camera_centres as read_camera_centres,

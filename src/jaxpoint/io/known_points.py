@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.files import PIXEL_ALIASES, UNITS, Row, StrPath, read_table
 from jaxpoint.io.rig_entries import UNSTATED, needs_metres
 from jaxpoint.io.svoboda import read_matrix

@@ -48,6 +48,17 @@ class SavedCalibration:
     provenance: dict[str, Any] = field(default_factory=dict)
     time_offsets: TimeOffsets | None = None
     in_room: bool = True  # False where the file says that its metres are of a frame of the solver's own
+    posed: bool = True  # False where the file holds lenses alone: the poses of the rig are the identity
+    notes: tuple[str, ...] = ()  # what a reader of the file must know, a sentence each
+
+    def entries(self) -> list[CameraEntry]:
+        """The cameras as plain numbers, without poses where there are none.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        cameras = entries_of(self.rig)
+        return cameras if self.posed else [without_pose(camera) for camera in cameras]
 
 
 def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
@@ -79,6 +90,11 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
             "`jaxpoint align`."
         )
     return saved
+
+
+def without_pose(camera: CameraEntry) -> CameraEntry:
+    """The lens of a camera alone."""
+    return msgspec.structs.replace(camera, rotation=None, translation=None)
 
 
 def tuples(values: np.ndarray) -> Any:
