@@ -62,11 +62,17 @@ class Convert(Options):
         sources, target = self._sources_and_target()
         fmt = format_to_write(target, self.to)
         saved = _in_unit(sources, read_cameras(sources, self.from_, size=_size(self.size), poses=False), self.unit)
-        files = files_of(saved, fmt)
+        files = files_of(saved, fmt, target)
         self._spare(sources, target, files)
         write_files(target, files)
         said = (*saved.notes, *fmt.losses(saved))
-        figures = {"out": str(target), "format": fmt.name, "files": list(files), "unit": saved.unit, "notes": list(said)}
+        figures = {
+            "out": str(target),
+            "format": fmt.name,
+            "files": list(files),
+            "unit": saved.unit,
+            "notes": list(said),
+        }
         return Outcome({**figures, "cameras": list(saved.rig.names)}, (_summary(saved, fmt, target), *said))
 
     def _sources_and_target(self) -> tuple[list[Path], Path]:

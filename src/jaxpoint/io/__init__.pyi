@@ -25,7 +25,7 @@ from .known_points import (
 )
 from .object_files import Database as Database, read_objects as read_objects
 from .pointing_files import read_pointings as read_pointings, write_pointings as write_pointings
-from .qualisys import read_qualisys as read_qualisys
+from .formats.qualisys_xml import read_qualisys as read_qualisys
 from .result_files import load_result as load_result, save_result as save_result
 from .session import Session as Session, open_session as open_session
 from .timestamps import Timestamps as Timestamps, read_timestamps as read_timestamps, synchronise as synchronise

@@ -155,7 +155,7 @@ def write_calibration(
         ValueError: a number is not finite.
     """
     saved, chosen = saved_of(calibration), format_to_write(Path(path), format)
-    write_files(Path(path), files_of(saved, chosen))
+    write_files(Path(path), files_of(saved, chosen, Path(path)))
     return chosen.losses(saved)
 
 
@@ -198,16 +198,21 @@ def format_to_write(path: Path, name: str | None) -> CalibrationFormat:
     return fits[0]
 
 
-def files_of(saved: SavedCalibration, fmt: CalibrationFormat) -> dict[str, bytes]:
+def files_of(saved: SavedCalibration, fmt: CalibrationFormat, path: Path) -> dict[str, bytes]:
     """What a format writes: names of files and what is in them.
 
     Raises:
         UsageError: it has no place for a lens, or needs poses and there are none.
     """
     assert fmt.write is not None
+    if fmt.holds.unit == "mm" and saved.unit != "m":
+        raise UsageError(
+            f"{fmt.title} is in millimetres, and these lengths are in no known unit ('{saved.unit}'); give --unit, or "
+            "bring them into the room by `jaxpoint align`."
+        )
     if not saved.posed and fmt.needs_poses:
         raise UsageError(f"{fmt.title} needs the poses of the cameras, and there are only lenses.")
-    return dict(fmt.write(saved))
+    return dict(fmt.write(saved, path))
 
 
 def write_files(path: Path, files: dict[str, bytes]) -> None:

@@ -193,7 +193,8 @@ class _Reader:
 
 def _scalar(text: str) -> Any:
     if len(text) > 1 and text[0] == text[-1] and text[0] in "\"'":
-        return text[1:-1]
+        inner = text[1:-1]
+        return re.sub(r"\\(.)", r"\1", inner) if text[0] == '"' else inner.replace("''", "'")
     if text.lower() in _WORDS:
         return _WORDS[text.lower()]
     if text.lower() == "-.inf":

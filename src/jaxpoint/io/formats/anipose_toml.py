@@ -28,6 +28,7 @@ from jaxpoint.io.formats.toml_cameras import read_toml, toml_camera
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration, entries_of
 
 TITLE = "anipose's calibration.toml"
+CAMERA_KEYS = {"matrix", "distortions", "rotation", "translation"}  # a table with none of them is something else
 MODELS = (Brown, Pinhole, Rational, KannalaBrandt)
 
 
@@ -56,7 +57,7 @@ def read_tables(request: Request, unit: str) -> SavedCalibration:
     cameras = [
         toml_camera(path, section, table, str(table.get("name", section)), request.poses)
         for section, table in content.items()
-        if isinstance(table, dict)
+        if isinstance(table, dict) and table.keys() & CAMERA_KEYS
     ]
     if not cameras:
         raise FileFormatError(f"{path} holds no camera; expected sections [cam_0], [cam_1], ...")
@@ -88,7 +89,7 @@ def write_calibration_toml(
         tomli_w.dump(content, file)
 
 
-def _write(saved: SavedCalibration) -> Mapping[str, bytes]:
+def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     content = {f"cam_{i}": anipose_table(camera) for i, camera in enumerate(saved.entries())}
     own_frame = {"in_room": False} if saved.unit == "m" and not saved.in_room else {}
     stated = {} if saved.unit == UNSTATED else {"unit": saved.unit}

@@ -107,12 +107,20 @@ class Request:
     def _sized(self, camera: CameraEntry) -> CameraEntry:
         if camera.size != UNSIZED:
             return camera
+        return msgspec.structs.replace(camera, size=self.needed_size(f"camera '{camera.name}'"))
+
+    def needed_size(self, what: str) -> tuple[int, int]:
+        """The image size (px) that the caller gave.
+
+        Raises:
+            UsageError: none was given.
+        """
         if self.size is None:
             raise UsageError(
-                f"{self.where} holds no image size of camera '{camera.name}'; give it: --size 1920x1080 (width x "
-                "height, px), or size=(1920, 1080) in Python."
+                f"{self.where} holds no image size of {what}; give it: --size 1920x1080 (width x height, px), or "
+                "size=(1920, 1080) in Python."
             )
-        return msgspec.structs.replace(camera, size=self.size)
+        return self.size
 
 
 @dataclass(frozen=True)
@@ -128,7 +136,7 @@ class Holds:
 
 
 Reader = Callable[[Request], SavedCalibration]
-Writer = Callable[[SavedCalibration], Mapping[str, bytes]]
+Writer = Callable[[SavedCalibration, Path], Mapping[str, bytes]]
 
 
 @dataclass(frozen=True)
@@ -142,8 +150,10 @@ class CalibrationFormat:
         recognise: whether a file is one of its own, from path and beginning; no guess: two formats never both agree.
         holds: what its files have a place for.
         read: from files to a calibration; None where it is only written.
-        write: from a calibration to the files: their names, and what is in them; None where it is only read.
+        write: from a calibration and where it goes to the files: their names, and what is in them; None where it is
+            only read.
         rename: what the cameras are called there, from what they are called here.
+        more_losses: sentences of what else its files change, such as a lens that is fitted.
         per_camera: whether each camera may have a file of its own, so that every file of a folder must be read.
         needs_poses: whether it cannot be written of lenses without poses.
     """
@@ -156,6 +166,7 @@ class CalibrationFormat:
     read: Reader | None = None
     write: Writer | None = None
     rename: Callable[[tuple[str, ...]], tuple[str, ...]] = tuple
+    more_losses: Callable[[SavedCalibration], Sequence[str]] = lambda saved: ()
     per_camera: bool = False
     needs_poses: bool = True
 
@@ -182,4 +193,4 @@ class CalibrationFormat:
         if saved.posed and saved.unit != "m" and self.holds.unit != "any":
             unit = "whose unit was not stated" if saved.unit == UNSTATED else "in an arbitrary unit"
             said.append(f"{self.title} does not say the unit of lengths, and these are lengths {unit}.")
-        return tuple(said)
+        return (*said, *self.more_losses(saved))

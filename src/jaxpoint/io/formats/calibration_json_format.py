@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 
 from jaxpoint.io.calibration import CALIBRATION_FORMAT, encode_calibration, read_calibration_json
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request
@@ -14,7 +15,7 @@ def _read(request: Request) -> SavedCalibration:
     return read_calibration_json(request.only.path, request.poses)
 
 
-def _write(saved: SavedCalibration) -> Mapping[str, bytes]:
+def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     return {"calibration.json": encode_calibration(saved)}
 
 

@@ -65,7 +65,7 @@ def _rename(names: tuple[str, ...]) -> tuple[str, ...]:
     return names if kept else tuple(f"cam_{i}" for i in range(len(names)))
 
 
-def _write(saved: SavedCalibration) -> Mapping[str, bytes]:
+def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     numbers = [name.removeprefix("cam_") for name in _rename(saved.rig.names)]
     tables = {
         number: {"cam_id": int(number), "rotation_count": 0, "ignore": False, **anipose_table(camera)}

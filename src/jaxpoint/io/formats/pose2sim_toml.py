@@ -25,7 +25,7 @@ def _read(request: Request) -> SavedCalibration:
     return read_tables(request, "m")
 
 
-def _write(saved: SavedCalibration) -> Mapping[str, bytes]:
+def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     content: dict[str, Any] = {_section(i, name): {} for i, name in enumerate(saved.rig.names)}
     for section, camera in zip(list(content), saved.entries()):
         content[section] = _table(camera)

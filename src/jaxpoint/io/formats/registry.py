@@ -7,7 +7,21 @@ from jaxpoint.io.formats import (
     anipose_toml,
     calibration_json_format,
     caliscope_toml,
+    colmap_rig,
+    colmap_text,
+    dlt_csv,
+    easymocap_yml,
+    gltf_scene,
+    kalibr_yaml,
+    mrcal_cameramodel,
+    multicamselfcal_folder,
+    nerf_transforms,
+    opencv_storage,
     pose2sim_toml,
+    qualisys_xml,
+    ros_camera_info,
+    strand_braid_xml,
+    vicon_xcp,
 )
 from jaxpoint.io.formats.calibration_format import CalibrationFormat
 
@@ -18,6 +32,20 @@ FORMATS: dict[str, CalibrationFormat] = {
         anipose_toml,
         caliscope_toml,
         pose2sim_toml,
+        opencv_storage,
+        kalibr_yaml,
+        ros_camera_info,
+        colmap_text,
+        colmap_rig,
+        nerf_transforms,
+        easymocap_yml,
+        mrcal_cameramodel,
+        qualisys_xml,
+        vicon_xcp,
+        dlt_csv,
+        multicamselfcal_folder,
+        strand_braid_xml,
+        gltf_scene,
     )
 }
 
