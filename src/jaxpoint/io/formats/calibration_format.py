@@ -193,4 +193,6 @@ class CalibrationFormat:
         if saved.posed and saved.unit != "m" and self.holds.unit != "any":
             unit = "whose unit was not stated" if saved.unit == UNSTATED else "in an arbitrary unit"
             said.append(f"{self.title} does not say the unit of lengths, and these are lengths {unit}.")
+        if saved.posed and saved.unit == "m" and self.holds.unit == UNSTATED:
+            said.append(f"{self.title} does not say the unit of lengths (these are metres): read it with --unit m.")
         return (*said, *self.more_losses(saved))

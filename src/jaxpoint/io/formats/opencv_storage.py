@@ -80,7 +80,7 @@ def _read_pair(request: Request, table: dict[str, Any]) -> SavedCalibration:
     second = (rotation, numbers(where, table, "t", (3,))) if posed else None
     first = (np.eye(3), np.zeros(3)) if posed else None
     cameras = [_camera(where, table, f"cam_{i}", str(i), pose) for i, pose in ((1, first), (2, second))]
-    return request.saved(cameras, unit=str(table.get("unit", UNSTATED)) if table.get("unit") == "m" else UNSTATED)
+    return request.saved(cameras, unit=UNSTATED)
 
 
 def _camera(
@@ -137,7 +137,7 @@ def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     cameras = saved.entries()
     suffix = path.suffix.lower() if path.suffix.lower() in (".xml", ".json") else ".yml"
     if len(cameras) == 2 and saved.posed:
-        return {f"stereo{suffix}": encode_storage(path, _pair(cameras, saved.unit))}
+        return {f"stereo{suffix}": encode_storage(path, _pair(cameras))}
     return {f"{s}{suffix}": encode_storage(path, _single(c)) for s, c in zip(file_stems(saved.rig.names), cameras)}
 
 
@@ -165,8 +165,8 @@ def _single(camera: CameraEntry) -> dict[str, Any]:
     return values | {"R": rotation, "T": translation.reshape(3, 1)}
 
 
-def _pair(cameras: list[CameraEntry], unit: str) -> dict[str, Any]:
-    values: dict[str, Any] = {} if unit == UNSTATED else {"unit": unit}
+def _pair(cameras: list[CameraEntry]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
     for i, camera in enumerate(cameras, start=1):
         matrix, bending, fisheye = _lens(camera)
         if values.setdefault("fisheye_model", fisheye) != fisheye:

@@ -115,33 +115,37 @@ def _fitted(k: np.ndarray, size: tuple[int, int], correction: np.ndarray) -> tup
     common = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
     radial = np.array([True, True, False, False, True])
     brown = fit_coefficients(Brown, common, directions, pixels, radial)
-    rational = _rational(np.linalg.norm(ideal, axis=1) / k[0, 0], np.sqrt(r2[:, 0]) / k[0, 0])
-    errors = [float(np.abs(brown_pixels(k, lens, directions) - pixels).max()) for lens in (brown, rational)]
-    return (brown, errors[0]) if errors[0] <= NEAR else (rational, errors[1])
+    radii = np.linalg.norm(ideal, axis=1) / k[0, 0], np.sqrt(r2[:, 0]) / k[0, 0]
+    lenses = [brown, *(_rational(*radii, order) for order in (1, 2, 3))]
+    errors = [float(np.abs(brown_pixels(k, lens, directions) - pixels).max()) for lens in lenses]
+    best = 0 if errors[0] <= NEAR else int(np.nanargmin(errors))
+    return lenses[best], errors[best]
 
 
-def _rational(ideal: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """k1, k2, 0, 0, k3, k4, k5, k6 of measured (1 + k4 r^2 + ...) = ideal (1 + k1 r^2 + ...), r the ideal radius.
+def _rational(ideal: np.ndarray, measured: np.ndarray, order: int) -> np.ndarray:
+    """k1, k2, 0, 0, k3, k4, k5, k6, with so many of the last three, and r the ideal radius, of
+
+    measured (1 + k4 r^2 + ...) = ideal (1 + k1 r^2 + ...).
 
     Linear in the coefficients; weights from the solution before make the error that of the measured radius.
     """
     powers = np.stack([ideal**2, ideal**4, ideal**6], axis=1)
     found, weight = np.zeros(6), np.ones(len(ideal))
     for _ in range(6):
-        design = np.hstack([ideal[:, None] * powers, -measured[:, None] * powers]) * weight[:, None]
-        found = np.linalg.lstsq(design, (measured - ideal) * weight, rcond=None)[0]
+        design = np.hstack([ideal[:, None] * powers, -measured[:, None] * powers[:, :order]]) * weight[:, None]
+        found[: 3 + order] = np.linalg.lstsq(design, (measured - ideal) * weight, rcond=None)[0]
         weight = 1 / np.maximum(1 + powers @ found[3:], 1e-3)
     return np.array([*found[:2], 0.0, 0.0, *found[2:]])
 
 
 def _vicon(camera: CameraEntry) -> tuple[np.ndarray, float]:
-    """The correction of a radial Brown lens, and by how many px it is off at most.
+    """The correction of a radial lens, and by how many px it is off at most.
 
     Raises:
         UsageError: the lens is no radial one, or the correction is off by more than `LARGEST`.
     """
-    values = np.zeros(5)
-    given = opencv_coefficients(TITLE, camera, 5)
+    values = np.zeros(8)
+    given = opencv_coefficients(TITLE, camera, 8)
     values[: len(given)] = given
     if not values.any():
         return np.zeros(3), 0.0
@@ -205,7 +209,7 @@ FORMAT = CalibrationFormat(
     title=TITLE,
     patterns=("*.xcp",),
     recognise=lambda path, head: re.search(r"<Cameras\b", head) is not None and "<Camera " in head,
-    holds=Holds(lenses="pinhole; radial Brown by a fit", unit="mm", poses="position, camera from world (x y z w)"),
+    holds=Holds(lenses="pinhole; radial ones by a fit", unit="mm", poses="position, camera from world (x y z w)"),
     read=_read,
     write=_write,
     more_losses=_lost,

@@ -1,0 +1,374 @@
+"""Exchange formats: what is written comes back to the same pixels; what has no place is said; nothing is guessed."""
+
+import base64
+import json
+import re
+from dataclasses import replace
+
+import cv2
+import jax
+import numpy as np
+import pytest
+
+from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.camera.rational import Rational
+from jaxpoint.camera.rig import CameraRig
+from jaxpoint.cli import main
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.io import exchange
+from jaxpoint.io.exchange import read_calibration, read_lenses, write_calibration
+from jaxpoint.io.formats.registry import FORMATS
+from jaxpoint.io.plain_yaml import parse_yaml
+from jaxpoint.io.rig_entries import UNSTATED, SavedCalibration
+
+LENSES = {
+    "none": (Brown, [0.0] * 5),
+    "radial": (Brown, [-0.2, 0.05, 0.0, 0.0, 0.0]),
+    "brown4": (Brown, [-0.2, 0.05, 0.001, -0.002, 0.0]),
+    "brown5": (Brown, [-0.2, 0.05, 0.001, -0.002, 0.01]),
+    "rational": (Rational, [0.3, -0.1, 0.001, -0.002, 0.02, 0.4, -0.2, 0.03]),
+    "fisheye": (KannalaBrandt, [0.01, -0.02, 0.003, -0.001]),
+}
+ALL, BROWN4 = set(LENSES), {"none", "radial", "brown4"}
+BROWN5, PLANE = BROWN4 | {"brown5"}, BROWN4 | {"brown5", "rational"}
+HOLDS = {
+    **dict.fromkeys(("jaxpoint", "anipose", "caliscope", "opencv", "ros", "colmap", "colmap-rig"), ALL),
+    **dict.fromkeys(("pose2sim", "easymocap", "mrcal"), PLANE),
+    **dict.fromkeys(("qualisys", "dlt"), BROWN5),
+    **dict.fromkeys(("multicamselfcal", "strand-braid"), BROWN4),
+    "kalibr": BROWN4 | {"fisheye"},
+    "nerfstudio": BROWN5 | {"fisheye"},
+    "vicon": {"none"},  # a radial lens by a fit, below
+}
+READ = [name for name, fmt in FORMATS.items() if fmt.read is not None]
+SIZE = (1280, 720)
+NAMES = ("door", "window", "shelf")
+POINTS = np.random.default_rng(1).uniform(-1, 1, (20, 3))
+
+
+def rig_of(lens="brown4", count=3, sizes=None, focal=None) -> CameraRig:
+    """Cameras that look at the points from 4 m; the world's origin lies before all."""
+    kind, coefficients = LENSES[lens]
+    rng = np.random.default_rng(0)
+    rotation = np.array([cv2.Rodrigues(vector)[0] for vector in rng.normal(0, 0.3, (3, 3))])
+    focal = np.array([[900.0, 905.0], [800.0, 810.0], [700.0, 705.0]]) if focal is None else focal
+    return CameraRig.from_parameters(
+        focal[:count],
+        np.array([[640.3, 361.0], [600.0, 350.5], [610.0, 355.0]])[:count],
+        np.tile(coefficients, (count, 1)),
+        rotation[:count],
+        (rng.normal(0, 0.3, (3, 3)) + np.array([0, 0, 4]))[:count],
+        np.tile(SIZE, (count, 1)) if sizes is None else sizes,
+        NAMES[:count],
+        kind,
+    )
+
+
+def pixels(rig, points=POINTS) -> np.ndarray:
+    """(cameras, points, 2) by OpenCV."""
+    found = []
+    for i in range(len(rig)):
+        pose = rig[i].cam_from_world
+        k, bending = np.asarray(rig[i].intrinsics), np.asarray(rig[i].distortion)
+        seen = points @ np.asarray(pose.rotation).T + np.asarray(pose.translation)
+        if isinstance(rig.cameras.lens, KannalaBrandt):
+            image = cv2.fisheye.distortPoints((seen[:, :2] / seen[:, 2:])[:, None], k, bending)
+        else:
+            image = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), k, bending)[0]
+        found.append(image.reshape(-1, 2))
+    return np.array(found)
+
+
+def in_first_camera(rig, points):
+    pose = rig[0].cam_from_world
+    return points @ np.asarray(pose.rotation).T + np.asarray(pose.translation)
+
+
+def target_of(name, tmp_path):
+    """A file where the format writes one, else a folder."""
+    fmt, rig = FORMATS[name], rig_of("none")
+    files = fmt.write(SavedCalibration(rig), tmp_path / "x")
+    return tmp_path / (next(iter(files)) if len(files) == 1 else "out")
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("name", READ)
+def test_the_same_pixels_after_a_round_trip(tmp_path, name, lens):
+    count = 2 if name in ("ros", "opencv") else 3  # those have poses of a pair
+    square = np.array([[900.0, 900.0], [800.0, 800.0], [700.0, 700.0]]) if name == "vicon" else None
+    rig, path = rig_of(lens, count, focal=square), target_of(name, tmp_path)
+    fmt = FORMATS[name]
+    if lens not in HOLDS[name] and not (name == "vicon" and lens == "radial"):
+        with pytest.raises(UsageError, match=r"no place for the .* lens of camera 'door'"):
+            write_calibration(rig, path, name)
+        assert not list(tmp_path.iterdir())
+        return
+    write_calibration(rig, path, name)
+    saved = read_calibration(path, size=None if fmt.holds.sizes else SIZE)  # recognised by what is in it
+    points = POINTS if fmt.holds.world else in_first_camera(rig, POINTS)
+    tolerance = 0.02 if (name, lens) == ("vicon", "radial") else 1e-6  # px; the note says it
+    order = [saved.rig.names.index(name) for name in fmt.rename(rig.names)]  # files of a folder are read by name
+    np.testing.assert_allclose(pixels(saved.rig, points)[order], pixels(rig), rtol=0, atol=tolerance)
+    assert len(saved.rig) == count
+    assert saved.rig.image_sizes.tolist() == [list(SIZE)] * count
+    assert saved.unit == (UNSTATED if fmt.holds.unit == UNSTATED else "m")
+    assert saved.posed
+    assert bool(saved.notes) == ((name, lens) == ("vicon", "radial"))
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_a_format_has_no_place_for_is_said(tmp_path, name):
+    rig = rig_of("none", 2)
+    covariance = np.eye(rig.camera_size * 2)
+    saved = SavedCalibration(rig, covariance=covariance, time_offsets=TimeOffsets(np.zeros(2), np.zeros(2)))
+    fmt, said = FORMATS[name], " ".join(write_calibration(saved, tmp_path / "out", name))
+    assert ("covariance" in said) == ("time offsets" in said) == (name != "jaxpoint")
+    assert ("relative to camera 'door'" in said) == (not fmt.holds.world)
+    assert ("--size" in said) == (not fmt.holds.sizes)
+    assert ("names the cameras" in said) == (fmt.rename(rig.names) != rig.names)
+
+
+@pytest.mark.parametrize("name", [name for name in READ if not FORMATS[name].needs_poses])
+def test_lenses_alone(tmp_path, name):
+    """Without poses they stay lenses, and a calibration asks for poses."""
+    rig, path = rig_of("brown4", 2), target_of(name, tmp_path)
+    write_calibration(SavedCalibration(rig, posed=False), path, name)
+    lenses = read_lenses(path)
+    np.testing.assert_allclose(lenses.cameras.lens.parameters, rig.cameras.lens.parameters, rtol=1e-14)
+    with pytest.raises(FileFormatError, match=r"no rotation and translation|'rotation' is missing"):
+        read_calibration(path)
+
+
+@pytest.mark.parametrize("name", [name for name in READ if FORMATS[name].needs_poses])
+def test_formats_of_poses_refuse_lenses_alone(tmp_path, name):
+    with pytest.raises(UsageError, match="needs the poses of the cameras"):
+        write_calibration(SavedCalibration(rig_of("none", 2), posed=False), tmp_path / "out", name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", READ)
+def test_units(tmp_path, name):
+    """Formats in mm refuse lengths of no known unit; formats in metres say that these are none."""
+    path, fmt = tmp_path / "out", FORMATS[name]
+    saved = SavedCalibration(rig_of("none", 2), unit="arbitrary")
+    if fmt.holds.unit == "mm":
+        with pytest.raises(UsageError, match=r"in millimetres, .* no known unit \('arbitrary'\)"):
+            write_calibration(saved, path, name)
+        return
+    said = " ".join(write_calibration(saved, path, name))
+    assert ("lengths in an arbitrary unit" in said) == (fmt.holds.unit != "any")
+
+
+def test_ros_cameras_of_more_than_a_pair_are_lenses(tmp_path):
+    write_calibration(rig_of("brown5"), tmp_path / "out", "ros")
+    assert read_lenses(tmp_path / "out").names == ("door", "shelf", "window")  # by the names of the files
+
+
+def test_opencv_cameras_of_more_than_a_pair_have_files_of_their_own(tmp_path):
+    rig = rig_of("rational")
+    write_calibration(rig, tmp_path / "out", "opencv")
+    back = read_calibration(tmp_path / "out").rig
+    order = [back.names.index(name) for name in rig.names]
+    np.testing.assert_allclose(pixels(back)[order], pixels(rig), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+def test_opencv_reads_what_is_written(tmp_path, suffix):
+    path = tmp_path / f"stereo{suffix}"
+    rig = rig_of("brown5", 2)
+    write_calibration(rig, path, "opencv")
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    seen = in_first_camera(rig, POINTS)
+    rotation, translation = storage.getNode("R").mat(), storage.getNode("T").mat()
+    right = cv2.projectPoints(
+        seen, cv2.Rodrigues(rotation)[0], translation, storage.getNode("M2").mat(), storage.getNode("D2").mat()
+    )[0]
+    np.testing.assert_allclose(right.reshape(-1, 2), pixels(rig)[1], rtol=0, atol=1e-9)
+    storage.release()
+    np.testing.assert_allclose(pixels(read_calibration(path).rig, seen), pixels(rig), rtol=0, atol=1e-6)
+
+
+def test_rectified_pixels_of_a_ros_pair_share_their_rows(tmp_path):
+    """R and P as image_proc uses them: x' = P (R X), by OpenCV's undistortPoints."""
+    rig = rig_of("brown5", 2)
+    write_calibration(rig, tmp_path / "out", "ros")
+    rows = []
+    for i, name in enumerate(("door", "window")):
+        table = parse_yaml("", (tmp_path / f"out/{name}.yaml").read_text())
+        r, p = (np.reshape(table[f"{key}_matrix"]["data"], (3, -1)) for key in ("rectification", "projection"))
+        k, bending = np.asarray(rig[i].intrinsics), np.asarray(rig[i].distortion)
+        rectified = cv2.undistortPoints(pixels(rig)[i][:, None], k, bending, None, r, p[:, :3])
+        rows.append(rectified.reshape(-1, 2))
+        if i:
+            depth = -p[0, 3] / (rows[0][:, 0] - rows[1][:, 0])
+            left = parse_yaml("", (tmp_path / "out/door.yaml").read_text())
+            turned = in_first_camera(rig, POINTS) @ np.reshape(left["rectification_matrix"]["data"], (3, 3)).T
+            np.testing.assert_allclose(depth, turned[:, 2], rtol=1e-4)
+    np.testing.assert_allclose(rows[0][:, 1], rows[1][:, 1], atol=1e-3)
+
+
+# What pycolmap 4.2.1 says of the direction (0.3, -0.2, 1), in pixels from the corner.
+COLMAP = [
+    ("SIMPLE_PINHOLE", [700, 400.5, 300.5], [610.5, 160.5]),
+    ("PINHOLE", [700, 710, 400.5, 300.5], [610.5, 158.5]),
+    ("SIMPLE_RADIAL", [700, 400.5, 300.5, -0.1], [607.77, 162.32]),
+    ("RADIAL", [700, 400.5, 300.5, -0.1, 0.02], [607.84098, 162.27268]),
+    ("OPENCV", [700, 710, 400.5, 300.5, -0.1, 0.02, 0.001, -0.002], [607.32298, 160.617504]),
+    (
+        "FULL_OPENCV",
+        [700, 710, 400.5, 300.5, -0.1, 0.02, 0.001, -0.002, 0.003, 0.01, 0.02, 0.03],
+        [606.9716723374075, 160.85505489565773],
+    ),
+    (
+        "OPENCV_FISHEYE",
+        [700, 710, 400.5, 300.5, -0.1, 0.02, 0.003, -0.004],
+        [599.6950617219318, 165.8061963594556],
+    ),
+    ("SIMPLE_RADIAL_FISHEYE", [700, 400.5, 300.5, -0.1], [599.6363859210435, 167.74240938597094]),
+    ("RADIAL_FISHEYE", [700, 400.5, 300.5, -0.1, 0.02], [599.6941892197424, 167.7038738535051]),
+]
+
+
+@pytest.mark.parametrize(("model", "parameters", "pixel"), COLMAP)
+def test_colmaps_models_by_its_own_arithmetic(tmp_path, model, parameters, pixel):
+    words = " ".join(map(str, parameters))
+    (tmp_path / "cameras.txt").write_text(f"# a comment\n7 {model} 800 600 {words}\n")
+    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 7 some name.png\n\n")
+    saved = read_calibration(tmp_path)
+    assert saved.rig.names == ("some name",)
+    found = pixels(saved.rig, np.array([[0.3, -0.2, 1.0]]))[0, 0]
+    np.testing.assert_allclose(found, np.array(pixel) - 0.5, rtol=0, atol=1e-9)
+
+
+def test_gltf_holds_cameras_where_they_are(tmp_path):
+    """By glTF's own rules: node transforms, cameras along -z, y up; the corners of an image project to it."""
+    rig, path = rig_of("none"), tmp_path / "rig.gltf"
+    said = write_calibration(rig, path)
+    assert any("lenses, principal points" in sentence for sentence in said)
+    content = json.loads(path.read_text())
+    data = np.frombuffer(base64.b64decode(content["buffers"][0]["uri"].split(",")[1]), np.uint8)
+    view = content["bufferViews"][0]
+    corners = data[view["byteOffset"] :][: view["byteLength"]].view("<f4").reshape(3, 5, 3).astype(float)
+    for i, node in enumerate(content["nodes"][:3]):
+        x, y, z, w = node["rotation"]
+        angle = 2 * np.arctan2(np.linalg.norm([x, y, z]), w)
+        turned = cv2.Rodrigues(np.array([x, y, z]) / np.linalg.norm([x, y, z]) * angle)[0]
+        world = corners[i, 1:] @ turned.T + node["translation"]
+        np.testing.assert_allclose(node["translation"], rig.positions[i], atol=1e-12)
+        edges = [[-0.5, -0.5], [1279.5, -0.5], [1279.5, 719.5], [-0.5, 719.5]]
+        np.testing.assert_allclose(pixels(rig, world)[i], edges, atol=1e-3)
+    with pytest.raises(FileFormatError, match="holds no calibration of a known format"):
+        read_calibration(path)
+    with pytest.raises(UsageError, match="only written, not read"):
+        read_calibration(path, "gltf")
+
+
+def test_what_is_ambiguous_is_named(tmp_path):
+    write_calibration(rig_of("brown4"), tmp_path / "out", "colmap")
+    write_calibration(rig_of("brown4"), tmp_path / "out/transforms.json", "nerfstudio")
+    with pytest.raises(FileFormatError, match=r"several formats \(colmap, nerfstudio\); name one by --from"):
+        read_calibration(tmp_path / "out")
+    for name in ("colmap", "nerfstudio"):
+        assert read_calibration(tmp_path / "out", name).rig.names == NAMES
+
+
+def test_names_that_say_no_format(tmp_path):
+    for path, message in (
+        ("rig.toml", None),
+        ("rig.yaml", r"that of several formats \(opencv, kalibr, ros\)"),
+        ("rig.abc", "'rig.abc' is no format's"),
+    ):
+        if message is None:
+            write_calibration(rig_of("none"), tmp_path / path)
+            continue
+        with pytest.raises(UsageError, match=message):
+            write_calibration(rig_of("none"), tmp_path / path)
+    with pytest.raises(UsageError, match="There is no format 'kalibre'; the formats are jaxpoint, anipose"):
+        write_calibration(rig_of("none"), tmp_path / "x", "kalibre")
+
+
+def test_cameras_that_would_share_a_file_are_refused(tmp_path):
+    rig = rig_of("none", 2)
+    rig = CameraRig(rig.cameras, rig.image_sizes, ("a/b", "a_b"))
+    with pytest.raises(UsageError, match="a/b and a_b would share the name of a file"):
+        write_calibration(rig, tmp_path / "out", "mrcal")
+
+
+def test_nothing_half_written(tmp_path, monkeypatch):
+    """A folder appears with all its files or not at all."""
+
+    def broken(path):
+        raise OSError("disk full")
+
+    original, calls = exchange.replacing, []
+
+    def third_fails(path):
+        calls.append(path)
+        return broken(path) if len(calls) == 3 else original(path)
+
+    monkeypatch.setattr(exchange, "replacing", third_fails)
+    with pytest.raises(OSError, match="disk full"):
+        write_calibration(rig_of("none"), tmp_path / "out", "colmap")
+    assert not (tmp_path / "out").exists()
+
+
+def test_reading_keeps_float64_without_the_global_switch(tmp_path):
+    rig = rig_of("brown5")
+    for name in ("qualisys", "colmap"):
+        path = target_of(name, tmp_path)
+        write_calibration(rig, path, name)
+        with jax.enable_x64(False):
+            back = read_calibration(path).rig
+        np.testing.assert_allclose(pixels(back), pixels(rig), rtol=0, atol=1e-6)
+
+
+def test_convert_says_what_is_lost(tmp_path, capsys):
+    source, rig = tmp_path / "calibration.json", rig_of("brown4")
+    write_calibration(SavedCalibration(rig, covariance=np.eye(45)), source)
+    assert main(["convert", str(source), str(tmp_path / "chain.yaml"), "--to", "kalibr", "--json"]) == 0
+    figures = json.loads(capsys.readouterr().out)
+    assert figures["format"] == "kalibr"
+    assert any("covariance" in note for note in figures["notes"])
+    assert main(["convert", str(tmp_path / "chain.yaml"), str(tmp_path / "out"), "--to", "easymocap"]) == 0
+    said = capsys.readouterr().out
+    assert "EasyMocap's intri.yml and extri.yml of 3 cameras (brown lens)" in said
+    assert main(["convert", str(tmp_path / "out"), str(tmp_path / "back.toml"), "--to", "anipose"]) == 0
+    back = read_calibration(tmp_path / "back.toml").rig
+    np.testing.assert_allclose(pixels(back, in_first_camera(rig, POINTS)), pixels(rig), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["IN"], "Say what to read and what to write"),
+        (["IN", "OUT", "--size", "big"], "--size 'big' is no size of images"),
+        (["IN", "OUT", "--unit", "mm"], r"says its unit \('m'\); leave out --unit mm"),
+        (["IN", "IN", "--force"], "is read and would be replaced"),
+        (["IN", "OLD.toml", "--to", "anipose"], "exists; choose another output, or replace it by --force"),
+        (["IN", "no/where.toml", "--to", "anipose"], "There is no folder"),
+    ],
+)
+def test_convert_refuses(tmp_path, capsys, arguments, message):
+    write_calibration(rig_of("none"), tmp_path / "calibration.json")
+    (tmp_path / "OLD.toml").write_text("")
+    places = {"IN": tmp_path / "calibration.json", "OUT": tmp_path / "rig.qca.txt"}
+    given = [str(places.get(a, tmp_path / a if a.endswith(".toml") else a)) for a in arguments]
+    assert main(["convert", *given]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_convert_lists_all_formats(capsys):
+    assert main(["convert", "--list", "--json"]) == 0
+    assert [fmt["name"] for fmt in json.loads(capsys.readouterr().out)["formats"]] == list(FORMATS)
+
+
+def test_units_are_given_where_a_file_does_not_say_them(tmp_path):
+    rig = rig_of("none")
+    write_calibration(replace(SavedCalibration(rig), unit=UNSTATED), tmp_path / "in.toml", "anipose")
+    arguments = [str(tmp_path / "in.toml"), str(tmp_path / "calibration.json"), "--unit", "mm"]
+    assert main(["convert", *arguments]) == 0
+    saved = read_calibration(tmp_path / "calibration.json")
+    assert saved.unit == "m"
+    np.testing.assert_allclose(saved.rig.positions, np.asarray(rig.positions) / 1000)
