@@ -37,7 +37,7 @@ from jaxpoint.io.rig_entries import CameraEntry, SavedCalibration
 
 TITLE = "Vicon's .xcp"
 NEAR = 0.05  # px, below which Brown's lens does
-LARGEST = 0.5  # px by which a fitted lens may be off anywhere in the image
+LARGEST = 1.0  # px by which a fitted lens may be off anywhere in the image
 
 
 def _read(request: Request) -> SavedCalibration:
