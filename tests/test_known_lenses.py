@@ -29,6 +29,8 @@ cam1:
   T_cn_cnm1:
   - [1.0, 0.0, 0.0, -0.1]
   - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
   camera_model: pinhole
   distortion_coeffs: []
   distortion_model: none
@@ -113,7 +115,7 @@ def test_a_folder_holds_one_file_a_camera(data_folder, tmp_path):
     assert rig.cameras.focal.tolist() == [[900, 901], [945, 945]]
     for broken in ("a: [1, 2", "plain words", "", "camera_matrix: 3\n", text.replace("image_width: 1280", "")):
         (tmp_path / "door.yml").write_text(broken)
-        with pytest.raises(FileFormatError, match=r"door.yml: .*image_width"):
+        with pytest.raises(FileFormatError, match=r"door.yml.* (is no file of OpenCV|image_width|must hold|matrix)"):
             read_lenses(tmp_path)
 
 
@@ -141,7 +143,7 @@ def test_a_calibration_needs_poses(data_folder):
     for name in ("nopose.json", "noextr.toml"):
         with pytest.raises(FileFormatError, match=r"'cam_0' has no rotation and translation|'rotation' is missing"):
             read_calibration(folder / name)
-    with pytest.raises(FileFormatError, match=r"no calibration; .*jaxpoint calibrate --intrinsics"):
+    with pytest.raises(FileFormatError, match=r"'cam0' has no rotation and .*\(--intrinsics\)"):
         read_calibration(folder / "camchain.yaml")
 
 

@@ -53,12 +53,23 @@ def image_size(where: str, values: Any) -> tuple[int, int]:
     Raises:
         FileFormatError: they are not two whole positive numbers.
     """
-    width, height = numbers(where, {"size": values}, "size", (2,))
+    width, height = numbers(where, {"size": values}, "size", (2,)).tolist()
     if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
-        raise FileFormatError(f"{where}size {[width, height]} must be positive.")
+        raise FileFormatError(f"{where}size [{width:g}, {height:g}] must be positive (px, at most {MAX_SIZE}).")
     if width != int(width) or height != int(height):
-        raise FileFormatError(f"{where}size {list(values)} must be whole pixels.")
+        raise FileFormatError(f"{where}size [{width:g}, {height:g}] must be whole pixels.")
     return int(width), int(height)
+
+
+def width_and_height(where: str, table: Mapping[str, Any], names: tuple[str, str]) -> tuple[int, int]:
+    """Width and height, whole pixels, under two keys.
+
+    Raises:
+        FileFormatError: one is missing or wrong.
+    """
+    if any(name not in table for name in names):
+        raise FileFormatError(f"{where}image_width and image_height must both be there; add them (px).")
+    return image_size(where, [table[name] for name in names])
 
 
 def camera_entry(

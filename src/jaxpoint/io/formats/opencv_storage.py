@@ -26,6 +26,7 @@ from jaxpoint.io.formats.fields import (
     opencv_coefficients,
     pose_of,
     rotation_of,
+    width_and_height,
 )
 from jaxpoint.io.formats.names import file_stems
 from jaxpoint.io.formats.storage_tree import encode_storage, parse_storage
@@ -129,7 +130,7 @@ def _size(where: str, table: dict[str, Any], ending: str) -> tuple[int, int]:
         if name in table:
             return image_size(where, table[name])
     if "imagewidth" in table or "imageheight" in table:
-        return image_size(where, [table.get("imagewidth", -1), table.get("imageheight", -1)])
+        return width_and_height(where, table, ("imagewidth", "imageheight"))
     return UNSIZED
 
 

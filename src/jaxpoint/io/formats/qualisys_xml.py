@@ -55,7 +55,7 @@ def read_qualisys(path: StrPath) -> CameraRig:
 
 def _read(request: Request) -> SavedCalibration:
     path = request.only.path
-    root = parse_xml(path, request.only.text)
+    root = parse_xml(path, request.only.text, "the XML of a Qualisys calibration")
     cameras = root.findall("cameras/camera")
     if not cameras:
         raise FileFormatError(f"{path} holds 0 cameras; a Qualisys calibration has <cameras><camera ...>.")

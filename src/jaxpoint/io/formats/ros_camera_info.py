@@ -18,11 +18,11 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
 from jaxpoint.io.formats.fields import (
     camera_entry,
-    image_size,
     lens_kind,
     numbers,
     opencv_coefficients,
     pose_of,
+    width_and_height,
 )
 from jaxpoint.io.formats.names import file_stems
 from jaxpoint.io.lens_entries import model_of_name
@@ -55,7 +55,7 @@ def _table(file: SourceFile) -> dict[str, Any]:
 def _camera(where: str, table: dict[str, Any], name: str, pose: Any) -> CameraEntry:
     model = str(table.get("distortion_model", "plumb_bob"))
     model_of_name(where, model)
-    size = image_size(where, [table.get("image_width", -1), table.get("image_height", -1)])
+    size = width_and_height(where, table, ("image_width", "image_height"))
     matrix, bending = numbers(where, table, "camera_matrix", (3, 3)), numbers(where, table, "distortion_coefficients")
     return camera_entry(where, name, size, matrix, bending.ravel(), model, pose)
 

@@ -47,8 +47,8 @@ def parse_json(path: StrPath, text: str) -> Any:
         raise FileFormatError(f"{path}: {error}; it is not JSON.") from None
 
 
-def parse_xml(path: StrPath, text: str) -> ElementTree.Element:
-    """The root of an XML file.
+def parse_xml(path: StrPath, text: str, what: str = "XML") -> ElementTree.Element:
+    """The root of an XML file, which should be `what`.
 
     Raises:
         FileFormatError: it is not XML.
@@ -56,7 +56,7 @@ def parse_xml(path: StrPath, text: str) -> ElementTree.Element:
     try:
         return ElementTree.fromstring(re.sub(r"^\s*<\?xml[^>]*\?>", "", text))
     except (ElementTree.ParseError, RecursionError, ValueError) as error:
-        raise FileFormatError(f"{path}: {error}; it is not XML.") from None
+        raise FileFormatError(f"{path}: {error}; it is not {what}.") from None
 
 
 def _xml(path: StrPath, text: str) -> Any:
