@@ -218,7 +218,7 @@ def test_what_is_no_calibration(tmp_path):
         (tmp_path / "g.toml").write_text(text)
         with pytest.raises(FileFormatError, match=message):
             read_calibration(tmp_path / "g.toml", "anipose")
-    with pytest.raises(FileFormatError, match="is no camera_array.toml"):
+    with pytest.raises(FileFormatError, match=r"is no camera_array\.toml"):
         read_calibration(tmp_path / "g.toml", "caliscope")
     with pytest.raises(FileFormatError, match="There is no file"):
         read_calibration(tmp_path / "nothing.json")

@@ -141,6 +141,8 @@ def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration
                 f"{path} has version {raw.get('version')}; this jaxpoint reads {CALIBRATION_VERSION}. Update jaxpoint."
             )
         content = msgspec.convert(raw, _CalibrationFile)
+    except RecursionError:
+        raise FileFormatError(f"{path} is not a calibration.json (brackets in brackets without end).") from None
     except msgspec.DecodeError as error:  # also what msgspec raises for a value that does not fit the schema
         raise FileFormatError(
             f"{path} is not a whole calibration.json: {error}; copy it again, or write it anew by `jaxpoint calibrate`."

@@ -118,8 +118,8 @@ def read_matrix(path: StrPath) -> Float[np.ndarray, "rows columns"]:
             continue
         try:
             values = [float(token if token != "NA" else "nan") for token in line.replace(",", " ").split()]
-        except ValueError as error:
-            raise FileFormatError(f"{path}, line {number}: {error}; only numbers are expected.") from None
+        except ValueError:
+            raise FileFormatError(f"{path}, line {number}: '{line[:40]}' is not only numbers.") from None
         if values and rows and len(values) != len(rows[0]):
             raise FileFormatError(
                 f"{path}, line {number}: {len(values)} values where the lines before have {len(rows[0])}; "

@@ -10,6 +10,8 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
 from jaxpoint.io.formats.colmap_models import MODELS, colmap_camera, colmap_model
@@ -54,9 +56,12 @@ def _rows(file: SourceFile) -> list[tuple[str, list[str]]]:
 
 def _floats(where: str, words: list[str]) -> list[float]:
     try:
-        return [float(word) for word in words]
+        values = [float(word) for word in words]
     except ValueError:
-        raise FileFormatError(f"{where}{' '.join(words)[:60]} are not all numbers.") from None
+        values = [np.nan]
+    if not np.isfinite(values).all():
+        raise FileFormatError(f"{where}'{' '.join(words)[:60]}' are not all finite numbers.")
+    return values
 
 
 def _cameras(file: SourceFile) -> dict[str, tuple]:
@@ -65,7 +70,9 @@ def _cameras(file: SourceFile) -> dict[str, tuple]:
         if not words:
             continue
         if len(words) < 5:
-            raise FileFormatError(f"{where}a camera is CAMERA_ID MODEL WIDTH HEIGHT PARAMS, not '{' '.join(words)}'.")
+            raise FileFormatError(
+                f"{where}a camera is CAMERA_ID MODEL WIDTH HEIGHT PARAMS, not '{' '.join(words)[:60]}'."
+            )
         size = image_size(where, _floats(where, words[2:4]))
         found[words[0]] = (where, size, words[1], _floats(where, words[4:]))
     if not found:

@@ -60,8 +60,8 @@ def _rows(file: SourceFile) -> list[list[float]]:
     lines = [line for line in file.text.splitlines() if line.strip()]
     try:
         rows = [[float(word) for word in re.split(r"[,;\s]+", line.strip(" ,;\t"))] for line in lines]
-    except ValueError as error:
-        raise FileFormatError(f"{file.path}: {error}; only numbers are expected.") from None
+    except ValueError:
+        raise FileFormatError(f"{file.path} must hold only numbers, {ROWS} rows of one a camera.") from None
     if not rows or not all(np.isfinite(row).all() for row in rows) or len({len(row) for row in rows}) != 1:
         raise FileFormatError(
             f"{file.path} must have {ROWS} rows of as many finite numbers as cameras, or a profile's."

@@ -131,21 +131,21 @@ def rotation_vector(rotation: Any) -> list[float]:
 
 
 def rotation_of_quaternion(where: str, values: Sequence[float]) -> Float[np.ndarray, "3 3"]:
-    """The rotation of a quaternion w, x, y, z of any length.
+    """The rotation of a quaternion w, x, y, z of length 1 (to 1 %; it is made so exactly).
 
     Raises:
-        FileFormatError: its length is 0.
+        FileFormatError: it has another length, or is not finite.
     """
-    w, x, y, z = np.asarray(values, dtype=float)
-    norm = w * w + x * x + y * y + z * z
-    if not norm > 1e-12:
-        raise FileFormatError(f"{where}the quaternion {list(values)} has no length; it must have length 1.")
-    s = 2.0 / norm
+    quaternion = np.clip(np.asarray(values, dtype=float), -1e6, 1e6)
+    length = float(np.linalg.norm(quaternion))
+    if not abs(length - 1) < 0.01:
+        raise FileFormatError(f"{where}the quaternion has length {length:.3g}; that of a rotation has length 1.")
+    w, x, y, z = quaternion / length
     return np.array(
         [
-            [1 - s * (y * y + z * z), s * (x * y - z * w), s * (x * z + y * w)],
-            [s * (x * y + z * w), 1 - s * (x * x + z * z), s * (y * z - x * w)],
-            [s * (x * z - y * w), s * (y * z + x * w), 1 - s * (x * x + y * y)],
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
         ]
     )
 

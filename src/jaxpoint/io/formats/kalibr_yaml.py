@@ -47,7 +47,8 @@ def _read(request: Request) -> SavedCalibration:
 
 def _tables(file: SourceFile) -> dict[str, dict[str, Any]]:
     content = parse_yaml(file.path, file.text)
-    tables = {name: table for name, table in content.items() if re.fullmatch(r"cam\d+", name)} if content else {}
+    content = content if isinstance(content, dict) else {}
+    tables = {name: table for name, table in content.items() if re.fullmatch(r"cam\d+", name)}
     if not tables or not all(isinstance(table, dict) for table in tables.values()):
         raise FileFormatError(
             f"{file.path} holds no camera; Kalibr's camera chain has cam0, cam1, ... with intrinsics."

@@ -76,7 +76,7 @@ def _sizes(request: Request, others: Mapping[str, SourceFile], count: int) -> li
 
 def _unit(others: Mapping[str, SourceFile]) -> str:
     file = others.get("calibration_units.txt")
-    word = file.text.strip().lower() if file else ""
+    word = " ".join(file.text.lower().split()) if file else ""
     if file and word not in UNITS_THERE:
         raise FileFormatError(f"{file.path} says '{word[:20]}'; it must be one of {', '.join(UNITS_THERE)}.")
     return UNITS_THERE.get(word, UNSTATED)

@@ -22,6 +22,7 @@ from jaxpoint.io.formats.image_grid import brown_pixels, image_grid
 from jaxpoint.io.rig_entries import CameraEntry
 
 EXACT = 1e-6  # px
+PIXELS = 50  # of a grid over the image that the lens must see
 LARGEST = 1.0  # px, root mean square over the image, by which a fitted camera may be off
 
 
@@ -61,6 +62,8 @@ def camera_of_projection(
     k, rotation, translation = decompose(projection)
     bending = np.zeros(5) if coefficients is None else coefficients
     directions, pixels = _sight(k, lens, bending, size)
+    if len(pixels) < PIXELS:
+        raise FileFormatError(f"{where}its lens sees hardly any pixel of an image of {size[0]} x {size[1]} px.")
     start = np.array([[k[0, 0], 0, k[0, 2]], [0, k[1, 1], k[1, 2]], [0, 0, 1]])
     turned = np.eye(3)
     off = _misfit(start, bending, directions, pixels)
@@ -110,8 +113,6 @@ def _homogeneous(places: np.ndarray) -> np.ndarray:
 
 
 def _misfit(k: np.ndarray, bending: np.ndarray, directions: np.ndarray, pixels: np.ndarray) -> Misfit:
-    if not len(pixels):
-        return Misfit(np.inf, np.inf)
     off = np.linalg.norm(brown_pixels(k, bending, directions) - pixels, axis=1)
     return Misfit(float(np.sqrt((off**2).mean())), float(off.max()))
 
