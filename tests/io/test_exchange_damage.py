@@ -12,7 +12,7 @@ from jaxpoint.io.formats.registry import FORMATS
 
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+\.?\d*(e[-+]?\d+)?(?![\w.])")
 VALUES = ("nan", "1e999", "-1", "0", "abc", "", "[", '"', "1 2", "<a>")
-PER_FILE = 25  # places that are damaged in each
+PER_FILE = 12  # places that are damaged in each
 PYTHON = re.compile(r"Traceback|object is not|NoneType|dtype|ndarray|unhashable|list index|KeyError|to float|np\.")
 
 
@@ -59,7 +59,7 @@ def refusal(path, name):
 def test_damage_ends_in_a_sentence(tmp_path, name):
     path, files = written(name, tmp_path)
     refused = 0
-    for file in files:
+    for file in {re.sub(r"\d", "", file.name): file for file in files}.values():  # one of each kind
         text = file.read_text()
         for broken in damaged(text):
             file.write_text(broken)

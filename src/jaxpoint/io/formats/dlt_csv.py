@@ -31,7 +31,7 @@ def _read(request: Request) -> SavedCalibration:
     profiles = [(path, rows) for path, rows in tables.items() if not _is_dlt(rows)]
     if len(coefficients) > 1 or len(profiles) > 1 or not tables:
         raise UsageError(f"{TITLE} are one CSV file and at most one profile; name these.")
-    profile = _profile(*profiles[0]) if profiles else []
+    profile = _profile(*profiles[0], request.size) if profiles else []
     if not coefficients:
         cameras = [camera_entry(request.where, f"cam_{i}", *lens) for i, lens in enumerate(profile, start=1)]
         return request.saved(cameras, unit=UNSTATED)
@@ -48,7 +48,7 @@ def _posed(request: Request, path: Path, values: np.ndarray, profile: list[tuple
     found = []
     for i, column in enumerate(values.T):
         own, lens, bending = profile[i] if profile else (None, None, None)
-        size = request.size or own or request.needed_size("the cameras (there is no profile)")
+        size = own or request.needed_size("the cameras (there is no profile)")
         where = f"{path}, camera {i + 1}: "
         projection = _to_ours(size[1]) @ np.append(column, 1.0).reshape(3, 4)
         found.append(camera_of_projection(where, f"cam_{i + 1}", size, projection, lens, bending))
@@ -74,8 +74,8 @@ def _is_dlt(rows: list[list[float]]) -> bool:
     return len(rows) == ROWS and [row[0] for row in rows] != list(range(1, ROWS + 1))
 
 
-def _profile(path: Path, rows: list[list[float]]) -> list[tuple]:
-    """Image size, K and coefficients of each camera, in our axes."""
+def _profile(path: Path, rows: list[list[float]], given: tuple[int, int] | None) -> list[tuple]:
+    """Image size (as given, else as in the file), K and coefficients of each camera, in our axes."""
     lenses = []
     for line, row in enumerate(rows, start=1):
         if len(row) not in PROFILE or row[0] != line:
@@ -84,9 +84,9 @@ def _profile(path: Path, rows: list[list[float]]) -> list[tuple]:
                 f"k2, p1, p2, k3, not {len(row)} values."
             )
         _, focal, width, height, cx, cy, aspect, *bending = row
-        size = image_size(f"{path}, line {line}: ", [width, height])
+        size = given or image_size(f"{path}, line {line}: ", [width, height])
         bent = np.array(bending or [0.0] * 5) * FLIP_P1
-        lenses.append((size, camera_matrix(focal, focal * aspect, cx - 1, height - cy), bent))
+        lenses.append((size, camera_matrix(focal, focal * aspect, cx - 1, size[1] - cy), bent))
     return lenses
 
 

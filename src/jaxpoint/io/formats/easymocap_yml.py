@@ -105,7 +105,7 @@ FORMAT = CalibrationFormat(
     name="easymocap",
     title=TITLE,
     patterns=("intri.yml", "extri.yml"),
-    recognise=lambda path, head: re.search(r"^(K|Rot|T)_\S+:", head, re.MULTILINE) is not None,
+    recognise=lambda path, head: re.search(r"^(K|Rot|T)_\S+:\s*!!opencv-matrix", head, re.MULTILINE) is not None,
     holds=Holds(lenses="Brown, pinhole, rational", unit="m"),
     read=_read,
     write=_write,

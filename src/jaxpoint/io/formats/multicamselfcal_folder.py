@@ -16,7 +16,7 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import natural_key
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
 from jaxpoint.io.formats.fields import camera_entry, image_size, opencv_coefficients, pose_of
-from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, notes_of
+from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, mirror_notes, notes_of
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 from jaxpoint.io.svoboda import read_matrix, read_rad
 
@@ -45,7 +45,9 @@ def _read(request: Request) -> SavedCalibration:
         for file, name, size, lens in zip(matrices, names, sizes, lenses or [(None, None)] * count)
     ]
     notes = notes_of(f"{request.where}: one lens was fitted to each camera's P and .rad", [off for _, off in found])
-    return request.saved([camera for camera, _ in found], unit=_unit(others), notes=notes)
+    cameras = [camera for camera, _ in found]
+    notes += mirror_notes(request.where, cameras)
+    return request.saved(cameras, unit=_unit(others), notes=notes)
 
 
 def _camera(file: SourceFile, name: str, size: tuple[int, int], lens: tuple) -> tuple[CameraEntry, Misfit]:

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.formats.fields import camera_entry
+from jaxpoint.io.formats.fields import camera_entry, centre_of, pose_of
 from jaxpoint.io.formats.image_grid import brown_pixels, image_grid
 from jaxpoint.io.rig_entries import CameraEntry
 
@@ -90,6 +90,28 @@ def notes_of(begin: str, misfits: Sequence[Misfit]) -> list[str]:
     ]
 
 
+def mirror_notes(begin: str, cameras: Sequence[CameraEntry]) -> list[str]:
+    """The sentence on cameras that look away from where their axes meet, as they do in a mirrored world.
+
+    The sign of P is not known, so that a world whose handedness is wrong, which self-calibration alone may leave, comes
+    out as one that lies behind the cameras.
+    """
+    centres = np.array([centre_of(camera) for camera in cameras])
+    axes = np.array([pose_of(camera)[0][2] for camera in cameras])
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    if np.linalg.cond(total) > 1e6:
+        return []
+    middle = np.linalg.solve(total, np.einsum("cij,cj->i", across, centres))
+    behind = np.einsum("ci,ci->c", axes, middle - centres) < 0
+    if behind.mean() <= 0.5:
+        return []
+    return [
+        f"{begin}: {int(behind.sum())} of {len(cameras)} cameras look away from where their axes meet: they look "
+        "outwards, or the world of this file is a mirror image (then align it first, with the program that wrote it)."
+    ]
+
+
 def _scaled(projection: np.ndarray) -> np.ndarray:
     return projection / max(np.abs(projection[:, :3]).max(), 1e-300)
 
@@ -133,5 +155,5 @@ def _fitted(
         matrix, values, turned = parts(x)
         return (brown_pixels(matrix, values, directions @ turned.T) - pixels).ravel()
 
-    found = least_squares(residuals, np.zeros(12), x_scale="jac", max_nfev=100)
+    found = least_squares(residuals, np.zeros(12), x_scale="jac", max_nfev=30)
     return parts(found.x)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request
 from jaxpoint.io.formats.fields import camera_matrix, image_size, opencv_coefficients, pose_of
-from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, notes_of
+from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, mirror_notes, notes_of
 from jaxpoint.io.formats.storage_tree import parse_xml
 from jaxpoint.io.rig_entries import CameraEntry, SavedCalibration
 
@@ -38,7 +38,9 @@ def _read(request: Request) -> SavedCalibration:
         raise FileFormatError(f"{path} holds no <single_camera_calibration>.")
     found = [_camera(path, i, camera) for i, camera in enumerate(cameras)]
     notes = notes_of(f"{path}: one lens was fitted to each camera's P and lens", [off for _, off in found])
-    return request.saved([camera for camera, _ in found], notes=notes)
+    cameras = [camera for camera, _ in found]
+    notes += mirror_notes(str(path), cameras)
+    return request.saved(cameras, notes=notes)
 
 
 def _camera(path: Path, i: int, element: ElementTree.Element) -> tuple[CameraEntry, Misfit]:
