@@ -56,7 +56,7 @@ class ObjectsAdd(Options):
     views: Path | None = None
     """CSV of clicked corners, camera,corner,x,y, instead of `--corners`; needs `--calibration`."""
     calibration: Path | None = None
-    """The room's cameras in metres, with `--views`: a calibration.json or the folder of a run."""
+    """The room's cameras in metres, with `--views`: the folder of a run, or any that `jaxpoint convert` reads."""
     unit: Unit = None
     """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
 

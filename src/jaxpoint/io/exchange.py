@@ -63,6 +63,12 @@ def read_cameras(
     return chosen.read(Request(files, chosen.title, poses, size, label))
 
 
+def is_calibration(path: StrPath) -> bool:
+    """Whether a file is of some exchange format, by what is in it."""
+    file = SourceFile(Path(path))
+    return any(fmt.recognise(file.path, file.head) for fmt in FORMATS.values() if fmt.read is not None)
+
+
 def _paths(path: Paths) -> list[Path]:
     given = [path] if isinstance(path, str) or not isinstance(path, Sequence) else list(path)
     if not given:

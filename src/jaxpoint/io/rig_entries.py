@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import msgspec
@@ -16,7 +17,6 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
-from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.files import UNITS, StrPath
 from jaxpoint.io.lens_entries import common_model, model_of_name, read_coefficients
 
@@ -64,8 +64,11 @@ class SavedCalibration:
 def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
     """A calibration whose lengths are in `unit` (m, cm or mm), in metres."""
     with jax.enable_x64(True):
-        size = Similarity(np.asarray(1.0 / UNITS.get(unit, 1.0)), np.eye(3), np.zeros(3))
-        return replace(saved, rig=saved.rig.transformed(size), unit="m")
+        rig = saved.rig
+        metres = jnp.asarray(np.asarray(rig.cameras.cam_from_world.translation) / UNITS.get(unit, 1.0))
+        return replace(
+            saved, rig=eqx.tree_at(lambda rig: rig.cameras.cam_from_world.translation, rig, metres), unit="m"
+        )
 
 
 def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,15 @@ OTHERS = ("points3d.txt", "rigs.txt", "frames.txt")  # files of a model that say
 _CAMERA = re.compile(r"^\s*\d+,?\s+[A-Z][A-Z_]+,?\s+\d+,?\s+\d+,?\s+[-+\d.]", re.MULTILINE)
 
 
+class _Lens(NamedTuple):
+    """A line of cameras.txt."""
+
+    where: str
+    size: tuple[int, int]
+    model: str
+    parameters: list[float]
+
+
 def _read(request: Request) -> SavedCalibration:
     lenses = next((file for file in request.files if file.path.name.lower() == "cameras.txt"), None)
     lenses = lenses or next((file for file in request.files if _CAMERA.search(file.head)), None)
@@ -35,7 +45,7 @@ def _read(request: Request) -> SavedCalibration:
     images = images or _beside(lenses)
     cameras = _cameras(lenses)
     if images is None:
-        made = [colmap_camera(where, f"cam_{key}", *lens, None) for key, (where, *lens) in cameras.items()]
+        made = [_camera(f"cam_{key}", lens, lens.where, None) for key, lens in cameras.items()]
         return request.saved(made, unit=UNSTATED)
     return request.saved(_images(images, cameras), unit=UNSTATED)
 
@@ -64,7 +74,7 @@ def _floats(where: str, words: list[str]) -> list[float]:
     return values
 
 
-def _cameras(file: SourceFile) -> dict[str, tuple]:
+def _cameras(file: SourceFile) -> dict[str, _Lens]:
     found = {}
     for where, words in _rows(file):
         if not words:
@@ -74,13 +84,13 @@ def _cameras(file: SourceFile) -> dict[str, tuple]:
                 f"{where}a camera is CAMERA_ID MODEL WIDTH HEIGHT PARAMS, not '{' '.join(words)[:60]}'."
             )
         size = image_size(where, _floats(where, words[2:4]))
-        found[words[0]] = (where, size, words[1], _floats(where, words[4:]))
+        found[words[0]] = _Lens(where, size, words[1], _floats(where, words[4:]))
     if not found:
         raise FileFormatError(f"{file.path} holds no camera.")
     return found
 
 
-def _images(file: SourceFile, cameras: dict[str, tuple]) -> list[CameraEntry]:
+def _images(file: SourceFile, cameras: dict[str, _Lens]) -> list[CameraEntry]:
     """One camera for each image; every image has two lines, and that of its points may be empty."""
     rows = _rows(file)
     while rows and not rows[0][1]:
@@ -98,10 +108,13 @@ def _images(file: SourceFile, cameras: dict[str, tuple]) -> list[CameraEntry]:
     return [_image(where, words, name, cameras[words[8]]) for (where, words), name in zip(lines, names)]
 
 
-def _image(where: str, words: list[str], name: str, lens: tuple) -> CameraEntry:
+def _image(where: str, words: list[str], name: str, lens: _Lens) -> CameraEntry:
     values = _floats(where, words[1:8])
-    _, size, model, parameters = lens
-    return colmap_camera(where, name, size, model, parameters, (rotation_of_quaternion(where, values[:4]), values[4:]))
+    return _camera(name, lens, where, (rotation_of_quaternion(where, values[:4]), values[4:]))
+
+
+def _camera(name: str, lens: _Lens, where: str, pose: tuple[Any, Any] | None) -> CameraEntry:
+    return colmap_camera(where, name, lens.size, lens.model, lens.parameters, pose)
 
 
 def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:

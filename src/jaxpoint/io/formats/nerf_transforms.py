@@ -102,10 +102,10 @@ def _pose(where: str, table: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
-    content = {"frames": [_frame(camera) for camera in saved.entries()]}
-    models = {frame["camera_model"] for frame in content["frames"]}
-    if len(models) == 1:  # nerfstudio looks for it at the top
-        content = {"camera_model": models.pop(), **content}
+    frames = [_frame(camera) for camera in saved.entries()]
+    models = {frame["camera_model"] for frame in frames}
+    common = {"camera_model": models.pop()} if len(models) == 1 else {}  # nerfstudio looks for it at the top
+    content = {**common, "frames": frames}
     return {"transforms.json": json.dumps(content, indent=2).encode()}
 
 

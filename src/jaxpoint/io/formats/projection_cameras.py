@@ -155,5 +155,5 @@ def _fitted(
         matrix, values, turned = parts(x)
         return (brown_pixels(matrix, values, directions @ turned.T) - pixels).ravel()
 
-    found = least_squares(residuals, np.zeros(12), x_scale="jac", max_nfev=30)
+    found = least_squares(residuals, np.zeros(12), method="lm", x_scale="jac", max_nfev=400)
     return parts(found.x)

@@ -109,7 +109,7 @@ def _element(cameras: ElementTree.Element, camera: CameraEntry) -> None:
     borders = (0, 0, camera.size[0] - 1, camera.size[1] - 1)
     about = {"active": "1", "serial": camera.name, "viewrotation": "0", "model": "none"}
     element = ElementTree.SubElement(cameras, "camera", about)
-    fov = dict(zip(BORDERS, map(str, borders)))
+    fov: dict[str, str] = dict(zip(BORDERS, map(str, borders)))
     for tag in ("fov_marker", "fov_marker_max", "fov_video", "fov_video_max"):
         ElementTree.SubElement(element, tag, fov)
     rotation = AXES @ pose_of(camera)[0]
