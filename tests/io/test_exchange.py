@@ -4,6 +4,7 @@ import base64
 import json
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import jax
@@ -372,3 +373,11 @@ def test_units_are_given_where_a_file_does_not_say_them(tmp_path):
     saved = read_calibration(tmp_path / "calibration.json")
     assert saved.unit == "m"
     np.testing.assert_allclose(saved.rig.positions, np.asarray(rig.positions) / 1000)
+
+
+def test_the_page_has_a_row_for_each_format():
+    """Name, reads and writes of each, in the order of `jaxpoint convert --list`."""
+    page = (Path(__file__).parents[2] / "docs/reference/exchange.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `([\w-]+)` \| [^|]+ \| (yes|no) \| (yes|no) \|", page, re.MULTILINE)
+    known = [(f.name, "no" if f.read is None else "yes", "no" if f.write is None else "yes") for f in FORMATS.values()]
+    assert rows == known

@@ -8,25 +8,26 @@ import pytest
 from test_exchange import pixels, rig_of
 
 from jaxpoint.cli import main
-from jaxpoint.io import FORMATS, CalibrationFormat, Holds, register_format
+from jaxpoint.io import (
+    FORMATS,
+    CalibrationFormat,
+    Holds,
+    camera_entry,
+    opencv_coefficients,
+    read_image_size,
+    read_numbers,
+    register_format,
+)
 from jaxpoint.io.exchange import read_calibration, read_lenses, write_calibration
-from jaxpoint.io.formats.fields import camera_entry, image_size, numbers, opencv_coefficients
-from jaxpoint.io.formats.storage_tree import parse_json
 
 
 def read(request):
-    path = request.only.path
-    cameras = [
-        camera_entry(
-            f"{path}, {name}: ",
-            name,
-            image_size(f"{path}, {name}: ", table["size"]),
-            numbers(f"{path}, {name}: ", table, "K", (3, 3)),
-            table["lens"],
-            pose=(numbers(f"{path}, {name}: ", table, "R", (3, 3)), numbers(f"{path}, {name}: ", table, "t", (3,))),
-        )
-        for name, table in parse_json(path, request.only.text)["my_cameras"].items()
-    ]
+    cameras = []
+    for name, table in request.only.json()["my_cameras"].items():
+        where = f"{request.where}, {name}: "
+        k, size = read_numbers(where, table, "K", (3, 3)), read_image_size(where, table["size"])
+        pose = read_numbers(where, table, "R", (3, 3)), read_numbers(where, table, "t", (3,))
+        cameras.append(camera_entry(where, name, size, k, table["lens"], pose=pose))
     return request.saved(cameras)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jaxpoint.commands.console import Console, table
+from jaxpoint.commands.console import Console
 from jaxpoint.commands.options import Options, Outcome
 from jaxpoint.config import RoomConfig
 from jaxpoint.errors import UsageError
@@ -130,19 +130,28 @@ def _summary(saved: SavedCalibration, fmt: CalibrationFormat, target: Path) -> s
 def _listing() -> Outcome:
     from jaxpoint.io.formats.registry import FORMATS
 
-    header = ("name", "format", "reads", "writes", "lenses", "unit", "poses", "pixel (0, 0)", "files")
-    rows = [
-        (
-            fmt.name,
-            fmt.title,
-            "no" if fmt.read is None else "yes",
-            "no" if fmt.write is None else "yes",
-            fmt.holds.lenses,
-            fmt.holds.unit,
-            fmt.holds.poses,
-            fmt.holds.pixels,
-            ", ".join(fmt.patterns),
-        )
+    width = max(len(name) for name in FORMATS)
+    lines = [
+        f"{fmt.name:<{width}}  {fmt.title} ({', '.join(fmt.patterns)}; {_ways(fmt)}): {fmt.holds.lenses}; unit "
+        f"{fmt.holds.unit}; {fmt.holds.poses}; pixel (0, 0) {fmt.holds.pixels}"
         for fmt in FORMATS.values()
     ]
-    return Outcome({"formats": [dict(zip(header, row)) for row in rows]}, table(header, rows))
+    figures = [
+        {
+            "name": fmt.name,
+            "title": fmt.title,
+            "files": list(fmt.patterns),
+            "reads": fmt.read is not None,
+            "writes": fmt.write is not None,
+            "lenses": fmt.holds.lenses,
+            "unit": fmt.holds.unit,
+            "poses": fmt.holds.poses,
+            "pixels": fmt.holds.pixels,
+        }
+        for fmt in FORMATS.values()
+    ]
+    return Outcome({"formats": figures}, tuple(lines))
+
+
+def _ways(fmt: CalibrationFormat) -> str:
+    return "read and written" if fmt.read and fmt.write else "read" if fmt.read else "written"

@@ -14,6 +14,12 @@ from .formats.calibration_format import (
     SourceFile as SourceFile,
 )
 from .formats.caliscope_toml import read_camera_array as read_camera_array
+from .formats.fields import (
+    camera_entry as camera_entry,
+    opencv_coefficients as opencv_coefficients,
+    read_image_size as read_image_size,
+    read_numbers as read_numbers,
+)
 from .formats.registry import FORMATS as FORMATS, register_format as register_format
 from .rig_entries import SavedCalibration as SavedCalibration
 from .head_files import read_heads as read_heads, save_heads as save_heads

@@ -13,6 +13,7 @@ import msgspec
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.dialect import decode
 from jaxpoint.io.files import UNITS, read_text
+from jaxpoint.io.formats.storage_tree import parse_json
 from jaxpoint.io.rig_entries import (
     UNSTATED,
     CameraEntry,
@@ -40,6 +41,14 @@ class SourceFile:
             FileFormatError: there is no such file, or it is not text.
         """
         return read_text(self.path)
+
+    def json(self) -> Any:
+        """What stands in it.
+
+        Raises:
+            FileFormatError: it is not JSON.
+        """
+        return parse_json(self.path, self.text)
 
     @cached_property
     def head(self) -> str:

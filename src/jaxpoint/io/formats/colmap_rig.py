@@ -18,9 +18,8 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, Holds, Request
 from jaxpoint.io.formats.colmap_models import colmap_camera, colmap_model
-from jaxpoint.io.formats.fields import numbers, pose_of, quaternion_of, rotation_of_quaternion
+from jaxpoint.io.formats.fields import pose_of, quaternion_of, read_numbers, rotation_of_quaternion
 from jaxpoint.io.formats.names import file_stem, file_stems
-from jaxpoint.io.formats.storage_tree import parse_json
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 
 TITLE = "COLMAP's rig configuration"
@@ -28,7 +27,7 @@ TITLE = "COLMAP's rig configuration"
 
 def _read(request: Request) -> SavedCalibration:
     path = request.only.path
-    content = parse_json(path, request.only.text)
+    content = request.only.json()
     rigs = content if isinstance(content, list) else []
     cameras = rigs[0].get("cameras") if len(rigs) == 1 and isinstance(rigs[0], dict) else None
     if not isinstance(cameras, list) or not cameras or not all(isinstance(camera, dict) for camera in cameras):
@@ -45,13 +44,13 @@ def _camera(where: str, table: dict[str, Any]) -> CameraEntry:
             f"{where}'{prefix}' has no lens here (camera_model_name and camera_params); add it, or give the folder of "
             "COLMAP's text model."
         )
-    parameters = numbers(where, table, "camera_params").ravel().tolist()
+    parameters = read_numbers(where, table, "camera_params").ravel().tolist()
     pose: tuple[Any, Any] = np.eye(3), np.zeros(3)
     if not table.get("ref_sensor"):
-        quaternion = numbers(where, table, "cam_from_rig_rotation", (4,))
+        quaternion = read_numbers(where, table, "cam_from_rig_rotation", (4,))
         pose = (
             rotation_of_quaternion(where, quaternion.tolist()),
-            numbers(where, table, "cam_from_rig_translation", (3,)),
+            read_numbers(where, table, "cam_from_rig_translation", (3,)),
         )
     return colmap_camera(where, prefix.split("/")[-1], UNSIZED, str(table["camera_model_name"]), parameters, pose)
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
 from jaxpoint.io.formats.colmap_models import MODELS, colmap_camera, colmap_model
-from jaxpoint.io.formats.fields import image_size, pose_of, quaternion_of, rotation_of_quaternion
+from jaxpoint.io.formats.fields import pose_of, quaternion_of, read_image_size, rotation_of_quaternion
 from jaxpoint.io.formats.names import file_stem, file_stems, shortest_names
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 
@@ -83,7 +83,7 @@ def _cameras(file: SourceFile) -> dict[str, _Lens]:
             raise FileFormatError(
                 f"{where}a camera is CAMERA_ID MODEL WIDTH HEIGHT PARAMS, not '{' '.join(words)[:60]}'."
             )
-        size = image_size(where, _floats(where, words[2:4]))
+        size = read_image_size(where, _floats(where, words[2:4]))
         found[words[0]] = _Lens(where, size, words[1], _floats(where, words[4:]))
     if not found:
         raise FileFormatError(f"{file.path} holds no camera.")

@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
-from jaxpoint.io.formats.fields import camera_entry, camera_matrix, image_size, opencv_coefficients, pose_of
+from jaxpoint.io.formats.fields import camera_entry, camera_matrix, opencv_coefficients, pose_of, read_image_size
 from jaxpoint.io.formats.projection_cameras import camera_of_projection, notes_of
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 
@@ -84,7 +84,7 @@ def _profile(path: Path, rows: list[list[float]], given: tuple[int, int] | None)
                 f"k2, p1, p2, k3, not {len(row)} values."
             )
         _, focal, width, height, cx, cy, aspect, *bending = row
-        size = given or image_size(f"{path}, line {line}: ", [width, height])
+        size = given or read_image_size(f"{path}, line {line}: ", [width, height])
         bent = np.array(bending or [0.0] * 5) * FLIP_P1
         lenses.append((size, camera_matrix(focal, focal * aspect, cx - 1, size[1] - cy), bent))
     return lenses

@@ -17,10 +17,10 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, Holds, Request
 from jaxpoint.io.formats.fields import (
     camera_entry,
-    image_size,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_image_size,
+    read_numbers,
     rotation_of,
     rotation_vector,
 )
@@ -66,9 +66,9 @@ def _camera(path: str, name: str, table: dict[str, Any]) -> CameraEntry:
     return camera_entry(
         where,
         name,
-        image_size(where, sides) if len(sides) == 2 else UNSIZED,
-        numbers(where, table, f"K_{name}", (3, 3)),
-        numbers(where, table, bending).ravel(),
+        read_image_size(where, sides) if len(sides) == 2 else UNSIZED,
+        read_numbers(where, table, f"K_{name}", (3, 3)),
+        read_numbers(where, table, bending).ravel(),
         "",
         _pose(where, name, table) if f"T_{name}" in table else None,
     )
@@ -76,13 +76,13 @@ def _camera(path: str, name: str, table: dict[str, Any]) -> CameraEntry:
 
 def _pose(where: str, name: str, table: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     vector, matrix = f"R_{name}", f"Rot_{name}"
-    rotation = rotation_of(where, numbers(where, table, matrix if matrix in table else vector))
+    rotation = rotation_of(where, read_numbers(where, table, matrix if matrix in table else vector))
     if vector in table and matrix in table:
-        other = rotation_of(where, numbers(where, table, vector))
+        other = rotation_of(where, read_numbers(where, table, vector))
         if (apart := float(np.abs(rotation - other).max())) > APART:
             raise FileFormatError(f"{where}{vector} and {matrix} are different rotations (by {apart:.2g}).")
         rotation = other  # exactly a rotation, where the matrix was rounded
-    return rotation, numbers(where, table, f"T_{name}", (3,))
+    return rotation, read_numbers(where, table, f"T_{name}", (3,))
 
 
 def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:

@@ -16,7 +16,7 @@ from jaxpoint.io.rig_entries import CameraEntry, tuples
 MAX_SIZE = 1_000_000  # px; more is no image
 
 
-def numbers(
+def read_numbers(
     where: str, table: Mapping[str, Any], key: str, shape: tuple[int, ...] | None = None
 ) -> Float[np.ndarray, "..."]:
     """Finite numbers under a key, also as OpenCV's matrix (rows, cols, data); reshaped where only the count fits.
@@ -47,13 +47,13 @@ def _matrix(where: str, key: str, given: Mapping[str, Any]) -> Any:
     return np.array(data, dtype=object).reshape(rows, columns).tolist()
 
 
-def image_size(where: str, values: Any) -> tuple[int, int]:
+def read_image_size(where: str, values: Any) -> tuple[int, int]:
     """Width and height, whole pixels.
 
     Raises:
         FileFormatError: they are not two whole positive numbers.
     """
-    width, height = numbers(where, {"size": values}, "size", (2,)).tolist()
+    width, height = read_numbers(where, {"size": values}, "size", (2,)).tolist()
     if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
         raise FileFormatError(f"{where}size [{width:g}, {height:g}] must be positive (px, at most {MAX_SIZE}).")
     if width != int(width) or height != int(height):
@@ -69,7 +69,7 @@ def width_and_height(where: str, table: Mapping[str, Any], names: tuple[str, str
     """
     if any(name not in table for name in names):
         raise FileFormatError(f"{where}image_width and image_height must both be there; add them (px).")
-    return image_size(where, [table[name] for name in names])
+    return read_image_size(where, [table[name] for name in names])
 
 
 def camera_entry(

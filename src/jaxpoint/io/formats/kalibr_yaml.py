@@ -21,11 +21,11 @@ from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Req
 from jaxpoint.io.formats.fields import (
     camera_entry,
     camera_matrix,
-    image_size,
     lens_kind,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_image_size,
+    read_numbers,
 )
 from jaxpoint.io.lens_entries import model_of_name
 from jaxpoint.io.plain_yaml import parse_yaml
@@ -63,12 +63,12 @@ def _camera(where: str, name: str, table: dict[str, Any], pose: Any) -> CameraEn
     model_of_name(where, str(table.get("camera_model", "pinhole")))  # refuses omni and its like by name
     bending = str(table.get("distortion_model", "none"))
     model_of_name(where, bending)
-    k = camera_matrix(*numbers(where, table, "intrinsics", (4,)).tolist())
+    k = camera_matrix(*read_numbers(where, table, "intrinsics", (4,)).tolist())
     if "resolution" not in table:
         raise FileFormatError(f"{where}'resolution' is missing.")
-    size = image_size(where, table["resolution"])
+    size = read_image_size(where, table["resolution"])
     bent = bending not in ("none", "None")
-    coefficients = numbers(where, table, "distortion_coeffs", (4,)) if bent else []
+    coefficients = read_numbers(where, table, "distortion_coeffs", (4,)) if bent else []
     return camera_entry(where, name, size, k, coefficients, bending if bent else "", pose)
 
 
@@ -102,7 +102,7 @@ def _from_imu(where: str, table: dict[str, Any]) -> np.ndarray | None:
 
 
 def _transformation(where: str, table: dict[str, Any], key: str) -> np.ndarray:
-    values = numbers(where, table, key)
+    values = read_numbers(where, table, key)
     rigid = values.shape == (4, 4) and np.abs(values[:3, :3] @ values[:3, :3].T - np.eye(3)).max() < 1e-4
     if not rigid or (values[3] != [0, 0, 0, 1]).any():
         raise FileFormatError(f"{where}'{key}' must be a rotation and a translation in 4 x 4 numbers.")

@@ -21,10 +21,10 @@ from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Req
 from jaxpoint.io.formats.fields import (
     camera_entry,
     camera_matrix,
-    image_size,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_image_size,
+    read_numbers,
     rotation_of,
     rotation_vector,
 )
@@ -49,11 +49,11 @@ def _camera(file: SourceFile) -> CameraEntry:
             f"{where}this lens cannot be read (model '{model[:60]}'; known are {', '.join(COUNTS)}): convert it first "
             f"by `mrcal-convert-lensmodel LENSMODEL_OPENCV8 {file.path.name}`."
         )
-    values = numbers(where, table, "intrinsics").ravel()
+    values = read_numbers(where, table, "intrinsics").ravel()
     if values.size != 4 + COUNTS[short]:
         raise FileFormatError(f"{where}{model} has {4 + COUNTS[short]} intrinsics, not {values.size}.")
-    pose = numbers(where, table, "extrinsics", (6,))
-    size = image_size(where, table.get("imagersize", []))
+    pose = read_numbers(where, table, "extrinsics", (6,))
+    size = read_image_size(where, table.get("imagersize", []))
     k = camera_matrix(*values[:4].tolist())
     return camera_entry(where, file.path.stem, size, k, values[4:], "", (rotation_of(where, pose[:3]), pose[3:]))
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import natural_key
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
-from jaxpoint.io.formats.fields import camera_entry, image_size, opencv_coefficients, pose_of
+from jaxpoint.io.formats.fields import camera_entry, opencv_coefficients, pose_of, read_image_size
 from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, mirror_notes, notes_of
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 from jaxpoint.io.svoboda import read_matrix, read_rad
@@ -73,7 +73,7 @@ def _sizes(request: Request, others: Mapping[str, SourceFile], count: int) -> li
     sizes = read_matrix(file.path)
     if sizes.shape != (count, 2):
         raise FileFormatError(f"{file.path} is {sizes.shape[0]} x {sizes.shape[1]}; {count} cameras need {count} x 2.")
-    return [image_size(f"{file.path}: ", row.tolist()) for row in sizes]
+    return [read_image_size(f"{file.path}: ", row.tolist()) for row in sizes]
 
 
 def _unit(others: Mapping[str, SourceFile]) -> str:

@@ -20,14 +20,13 @@ from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, H
 from jaxpoint.io.formats.fields import (
     camera_entry,
     camera_matrix,
-    image_size,
     lens_kind,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_image_size,
+    read_numbers,
 )
 from jaxpoint.io.formats.names import file_stem, file_stems, shortest_names
-from jaxpoint.io.formats.storage_tree import parse_json
 from jaxpoint.io.rig_entries import UNSTATED, CameraEntry, SavedCalibration
 
 TITLE = "nerfstudio's transforms.json"
@@ -38,7 +37,7 @@ MODELS = {"OPENCV": "", "PINHOLE": "", "SIMPLE_PINHOLE": "", "OPENCV_FISHEYE": "
 
 def _read(request: Request) -> SavedCalibration:
     path = request.only.path
-    content = parse_json(path, request.only.text)
+    content = request.only.json()
     frames = content.get("frames") if isinstance(content, dict) else None
     if not isinstance(frames, list) or not frames or not all(isinstance(frame, dict) for frame in frames):
         raise FileFormatError(f"{path} holds no frame; transforms.json has 'frames' with a transform_matrix each.")
@@ -57,7 +56,7 @@ def _camera(where: str, name: str, table: dict[str, Any], given: tuple[int, int]
         raise FileFormatError(
             f"{where}this lens cannot be read (model '{model}'; known are {', '.join(MODELS)}): calibrate without it."
         )
-    size = image_size(where, [table["w"], table["h"]]) if "w" in table and "h" in table else given or UNSIZED
+    size = read_image_size(where, [table["w"], table["h"]]) if "w" in table and "h" in table else given or UNSIZED
     k = _intrinsics(where, table, size)
     pose = _pose(where, table)
     return camera_entry(where, name, size, k, _coefficients(where, table, model), MODELS[model], pose)
@@ -66,24 +65,25 @@ def _camera(where: str, name: str, table: dict[str, Any], given: tuple[int, int]
 def _intrinsics(where: str, table: dict[str, Any], size: tuple[int, int]) -> np.ndarray:
     width, height = size
     if "fl_x" in table:
-        fx = float(numbers(where, table, "fl_x", ()))
+        fx = float(read_numbers(where, table, "fl_x", ()))
     elif size == UNSIZED:  # a size is asked for later
         return np.eye(3)
     else:
-        angle = float(numbers(where, table, "camera_angle_x", ()))
+        angle = float(read_numbers(where, table, "camera_angle_x", ()))
         if not 0 < angle < np.pi:
             raise FileFormatError(f"{where}camera_angle_x is {angle:.4g} rad; it must lie between 0 and pi.")
         fx = width / 2 / np.tan(angle / 2)
-    fy = float(numbers(where, table, "fl_y", ())) if "fl_y" in table else fx
+    fy = float(read_numbers(where, table, "fl_y", ())) if "fl_y" in table else fx
     cx, cy = (
-        float(numbers(where, {key: half, **table}, key, ())) for key, half in (("cx", width / 2), ("cy", height / 2))
+        float(read_numbers(where, {key: half, **table}, key, ()))
+        for key, half in (("cx", width / 2), ("cy", height / 2))
     )
     return camera_matrix(fx, fy, cx - CORNER, cy - CORNER)
 
 
 def _coefficients(where: str, table: dict[str, Any], model: str) -> list[float]:
     k1, k2, k3, k4, p1, p2 = (
-        float(numbers(where, {key: 0.0, **table}, key, ())) for key in ("k1", "k2", "k3", "k4", "p1", "p2")
+        float(read_numbers(where, {key: 0.0, **table}, key, ())) for key in ("k1", "k2", "k3", "k4", "p1", "p2")
     )
     if model == "OPENCV_FISHEYE":
         return [k1, k2, k3, k4]
@@ -93,7 +93,7 @@ def _coefficients(where: str, table: dict[str, Any], model: str) -> list[float]:
 
 
 def _pose(where: str, table: dict[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    matrix = numbers(where, table, "transform_matrix", (4, 4))
+    matrix = read_numbers(where, table, "transform_matrix", (4, 4))
     scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
     if not scale > 0 or np.abs(matrix[:3, :3] @ matrix[:3, :3].T / scale**2 - np.eye(3)).max() > 1e-4:
         raise FileFormatError(f"{where}transform_matrix is no rotation with a scale.")
@@ -116,10 +116,9 @@ def _frame(camera: CameraEntry) -> dict[str, Any]:
     matrix[:3, 3] = -rotation.T @ translation
     k = np.array(camera.K)
     if lens_kind(camera) == "kannala_brandt":
-        model, bending = "OPENCV_FISHEYE", dict(zip(("k1", "k2", "k3", "k4"), camera.distortion))
+        model, names, values = "OPENCV_FISHEYE", ("k1", "k2", "k3", "k4"), camera.distortion
     else:
-        values = opencv_coefficients(TITLE, camera, 5)
-        model, bending = "OPENCV", dict(zip(("k1", "k2", "p1", "p2", "k3"), values))
+        model, names, values = "OPENCV", ("k1", "k2", "p1", "p2", "k3"), opencv_coefficients(TITLE, camera, 5)
     return {
         "file_path": f"images/{file_stem(camera.name)}.png",
         "camera_model": model,
@@ -129,7 +128,7 @@ def _frame(camera: CameraEntry) -> dict[str, Any]:
         "fl_y": k[1, 1],
         "cx": k[0, 2] + CORNER,
         "cy": k[1, 2] + CORNER,
-        **bending,
+        **{str(name): value for name, value in zip(names, values)},
         "transform_matrix": matrix.tolist(),
     }
 

@@ -19,12 +19,12 @@ from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, Holds, Request
 from jaxpoint.io.formats.fields import (
     camera_entry,
-    image_size,
     lens_kind,
     no_place,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_image_size,
+    read_numbers,
     rotation_of,
     width_and_height,
 )
@@ -65,7 +65,7 @@ def _merged(tables: list[dict[str, Any]], where: str) -> dict[str, Any]:
     for table in tables:
         for name, value in table.items():
             if name in merged and isinstance(value, Mapping) and isinstance(merged[name], Mapping):
-                one, other = (numbers(f"{where}: ", {name: part}, name) for part in (merged[name], value))
+                one, other = (read_numbers(f"{where}: ", {name: part}, name) for part in (merged[name], value))
                 if one.shape != other.shape or np.abs(one - other).max() > SAME * max(np.abs(one).max(), 1e-12):
                     raise FileFormatError(
                         f"{where}: the files hold different values of '{name}'; name those of one run."
@@ -77,8 +77,8 @@ def _merged(tables: list[dict[str, Any]], where: str) -> dict[str, Any]:
 def _read_pair(request: Request, table: dict[str, Any]) -> SavedCalibration:
     where = f"{request.where}: "
     posed = "r" in table and "t" in table
-    rotation = rotation_of(where, numbers(where, table, "r")) if posed else None
-    second = (rotation, numbers(where, table, "t", (3,))) if posed else None
+    rotation = rotation_of(where, read_numbers(where, table, "r")) if posed else None
+    second = (rotation, read_numbers(where, table, "t", (3,))) if posed else None
     first = (np.eye(3), np.zeros(3)) if posed else None
     cameras = [_camera(where, table, f"cam_{i}", str(i), pose) for i, pose in ((1, first), (2, second))]
     return request.saved(cameras, unit=UNSTATED)
@@ -97,13 +97,13 @@ def _camera(
             "cv::calibrateCamera or cv::fisheye, or calibrate without it."
         )
     if pose is None and not ending and "r" in table and "t" in table:
-        pose = rotation_of(where, numbers(where, table, "r")), numbers(where, table, "t", (3,))
+        pose = rotation_of(where, read_numbers(where, table, "r")), read_numbers(where, table, "t", (3,))
     return camera_entry(
         where,
         str(table.get(f"cameraname{ending}", name)),
         _size(where, table, ending),
-        numbers(where, table, matrix, (3, 3)),
-        numbers(where, table, bending).ravel(),
+        read_numbers(where, table, matrix, (3, 3)),
+        read_numbers(where, table, bending).ravel(),
         _model(where, table, bending),
         pose,
     )
@@ -128,7 +128,7 @@ def _model(where: str, table: dict[str, Any], bending: str) -> str:
 def _size(where: str, table: dict[str, Any], ending: str) -> tuple[int, int]:
     for name in (f"imagesize{ending}", f"size{ending}", "imagesize", "size"):
         if name in table:
-            return image_size(where, table[name])
+            return read_image_size(where, table[name])
     if "imagewidth" in table or "imageheight" in table:
         return width_and_height(where, table, ("imagewidth", "imageheight"))
     return UNSIZED

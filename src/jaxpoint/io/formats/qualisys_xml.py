@@ -23,9 +23,9 @@ from jaxpoint.io.formats.fields import (
     camera_entry,
     camera_matrix,
     centre_of,
-    image_size,
     opencv_coefficients,
     pose_of,
+    read_image_size,
 )
 from jaxpoint.io.formats.storage_tree import parse_xml
 from jaxpoint.io.rig_entries import CameraEntry, SavedCalibration
@@ -74,7 +74,7 @@ def _camera(path: Path, camera: ElementTree.Element) -> CameraEntry:
     return camera_entry(
         f"{path}, camera '{name}': ",
         name,
-        image_size(f"{path}, camera '{name}': ", [right - left + 1, bottom - top + 1]),
+        read_image_size(f"{path}, camera '{name}': ", [right - left + 1, bottom - top + 1]),
         camera_matrix(fx, fy, cx - left, cy - top),
         _attributes(where, camera, "intrinsic", DISTORTION),
         "",

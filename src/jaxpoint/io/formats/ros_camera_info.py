@@ -19,9 +19,9 @@ from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Req
 from jaxpoint.io.formats.fields import (
     camera_entry,
     lens_kind,
-    numbers,
     opencv_coefficients,
     pose_of,
+    read_numbers,
     width_and_height,
 )
 from jaxpoint.io.formats.names import file_stems
@@ -56,7 +56,10 @@ def _camera(where: str, table: dict[str, Any], name: str, pose: Any) -> CameraEn
     model = str(table.get("distortion_model", "plumb_bob"))
     model_of_name(where, model)
     size = width_and_height(where, table, ("image_width", "image_height"))
-    matrix, bending = numbers(where, table, "camera_matrix", (3, 3)), numbers(where, table, "distortion_coefficients")
+    matrix, bending = (
+        read_numbers(where, table, "camera_matrix", (3, 3)),
+        read_numbers(where, table, "distortion_coefficients"),
+    )
     return camera_entry(where, name, size, matrix, bending.ravel(), model, pose)
 
 
@@ -66,8 +69,8 @@ def _poses(files: tuple[SourceFile, ...], tables: list[dict[str, Any]]) -> list[
         return [None] * len(tables)
     found = []
     for file, table in zip(files, tables):
-        projection = numbers(f"{file.path}: ", table, "projection_matrix", (3, 4))
-        rectified = numbers(f"{file.path}: ", table, "rectification_matrix", (3, 3))
+        projection = read_numbers(f"{file.path}: ", table, "projection_matrix", (3, 4))
+        rectified = read_numbers(f"{file.path}: ", table, "rectification_matrix", (3, 3))
         if projection[0, 0] <= 0 or projection[1, 1] <= 0:
             return [None] * len(tables)
         found.append((rectified, projection[:, 3] / [projection[0, 0], projection[1, 1], 1.0]))

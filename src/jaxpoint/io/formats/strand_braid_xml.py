@@ -16,7 +16,7 @@ import numpy as np
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request
-from jaxpoint.io.formats.fields import camera_matrix, image_size, opencv_coefficients, pose_of
+from jaxpoint.io.formats.fields import camera_matrix, opencv_coefficients, pose_of, read_image_size
 from jaxpoint.io.formats.projection_cameras import Misfit, camera_of_projection, mirror_notes, notes_of
 from jaxpoint.io.formats.storage_tree import parse_xml
 from jaxpoint.io.rig_entries import CameraEntry, SavedCalibration
@@ -46,7 +46,7 @@ def _read(request: Request) -> SavedCalibration:
 def _camera(path: Path, i: int, element: ElementTree.Element) -> tuple[CameraEntry, Misfit]:
     name = (element.findtext("cam_id") or f"cam_{i}").strip()
     where = f"{path}, camera '{name}': "
-    size = image_size(where, _numbers(where, element, "resolution", 2).tolist())
+    size = read_image_size(where, _numbers(where, element, "resolution", 2).tolist())
     projection = _numbers(where, element, "calibration_matrix", 12).reshape(3, 4)
     fx, fy, cx, cy, k1, k2, p1, p2 = (
         float(_numbers(where, element, f"non_linear_parameters/{key}", 1)[0]) for key in LENS

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath
-from jaxpoint.io.formats.fields import camera_entry, image_size, numbers, rotation_of
+from jaxpoint.io.formats.fields import camera_entry, read_image_size, read_numbers, rotation_of
 from jaxpoint.io.rig_entries import CameraEntry, check_entry
 
 
@@ -39,7 +39,7 @@ def toml_camera(path: StrPath, section: str, table: Mapping[str, Any], name: str
         where,
         name,
         toml_size(where, table),
-        numbers(where, table, "matrix", (3, 3)),
+        read_numbers(where, table, "matrix", (3, 3)),
         table["distortions"],
         "fisheye" if table.get("fisheye") is True else "",
         _pose(where, table, poses),
@@ -56,11 +56,11 @@ def toml_size(where: str, table: Mapping[str, Any]) -> tuple[int, int]:
     """
     if "size" not in table:
         raise FileFormatError(f"{where}'size' is missing.")
-    return image_size(where, table["size"])
+    return read_image_size(where, table["size"])
 
 
 def _pose(where: str, table: Mapping[str, Any], needed: bool) -> tuple[np.ndarray, np.ndarray] | None:
     """Rotation matrix and translation; none where they are not needed and not there."""
     if not needed and not {"rotation", "translation"} & table.keys():
         return None
-    return rotation_of(where, numbers(where, table, "rotation")), numbers(where, table, "translation", (3,))
+    return rotation_of(where, read_numbers(where, table, "rotation")), read_numbers(where, table, "translation", (3,))

@@ -24,11 +24,11 @@ from jaxpoint.io.formats.fields import (
     camera_entry,
     camera_matrix,
     centre_of,
-    image_size,
     no_place,
     opencv_coefficients,
     pose_of,
     quaternion_of,
+    read_image_size,
     rotation_of_quaternion,
 )
 from jaxpoint.io.formats.image_grid import brown_pixels, image_grid
@@ -62,7 +62,7 @@ def _camera(where: str, name: str, camera: ElementTree.Element) -> tuple[CameraE
     frame = camera.find("KeyFrames/KeyFrame")
     if frame is None:
         raise FileFormatError(f"{where}it was not calibrated (no KeyFrame); calibrate it, or delete it from the file.")
-    size = image_size(where, _numbers(where, camera, "SENSOR_SIZE", 2).tolist())
+    size = read_image_size(where, _numbers(where, camera, "SENSOR_SIZE", 2).tolist())
     focal = float(_numbers(where, frame, "FOCAL_LENGTH", 1)[0])
     aspect = float(_numbers(where, camera, "PIXEL_ASPECT_RATIO", 1)[0])
     if focal <= 0 or aspect <= 0:
