@@ -1,11 +1,5 @@
 """Exchange formats: what is written comes back to the same pixels; what has no place is said; nothing is guessed."""
 
-import base64
-import json
-import re
-from dataclasses import replace
-from pathlib import Path
-
 import cv2
 import jax
 import numpy as np
@@ -16,12 +10,10 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.rational import Rational
 from jaxpoint.camera.rig import CameraRig
-from jaxpoint.cli import main
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io import exchange
 from jaxpoint.io.exchange import read_calibration, read_lenses, write_calibration
 from jaxpoint.io.formats.registry import FORMATS
-from jaxpoint.io.plain_yaml import parse_yaml
 from jaxpoint.io.rig_entries import UNSTATED, SavedCalibration
 
 LENSES = {
@@ -175,95 +167,11 @@ def test_opencv_cameras_of_more_than_a_pair_have_files_of_their_own(tmp_path):
     np.testing.assert_allclose(pixels(back)[order], pixels(rig), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
-def test_opencv_reads_what_is_written(tmp_path, suffix):
-    path = tmp_path / f"stereo{suffix}"
-    rig = rig_of("brown5", 2)
-    write_calibration(rig, path, "opencv")
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
-    seen = in_first_camera(rig, POINTS)
-    rotation, translation = storage.getNode("R").mat(), storage.getNode("T").mat()
-    right = cv2.projectPoints(
-        seen, cv2.Rodrigues(rotation)[0], translation, storage.getNode("M2").mat(), storage.getNode("D2").mat()
-    )[0]
-    np.testing.assert_allclose(right.reshape(-1, 2), pixels(rig)[1], rtol=0, atol=1e-9)
-    storage.release()
-    np.testing.assert_allclose(pixels(read_calibration(path).rig, seen), pixels(rig), rtol=0, atol=1e-6)
-
-
-def test_rectified_pixels_of_a_ros_pair_share_their_rows(tmp_path):
-    """R and P as image_proc uses them: x' = P (R X), by OpenCV's undistortPoints."""
-    rig = rig_of("brown5", 2)
-    write_calibration(rig, tmp_path / "out", "ros")
-    rows = []
-    for i, name in enumerate(("door", "window")):
-        table = parse_yaml("", (tmp_path / f"out/{name}.yaml").read_text())
-        r, p = (np.reshape(table[f"{key}_matrix"]["data"], (3, -1)) for key in ("rectification", "projection"))
-        k, bending = np.asarray(rig[i].intrinsics), np.asarray(rig[i].distortion)
-        rectified = cv2.undistortPoints(pixels(rig)[i][:, None], k, bending, None, r, p[:, :3])
-        rows.append(rectified.reshape(-1, 2))
-        if i:
-            depth = -p[0, 3] / (rows[0][:, 0] - rows[1][:, 0])
-            left = parse_yaml("", (tmp_path / "out/door.yaml").read_text())
-            turned = in_first_camera(rig, POINTS) @ np.reshape(left["rectification_matrix"]["data"], (3, 3)).T
-            np.testing.assert_allclose(depth, turned[:, 2], rtol=1e-4)
-    np.testing.assert_allclose(rows[0][:, 1], rows[1][:, 1], atol=1e-3)
-
-
-# What pycolmap 4.2.1 says of the direction (0.3, -0.2, 1), in pixels from the corner.
-COLMAP = [
-    ("SIMPLE_PINHOLE", [700, 400.5, 300.5], [610.5, 160.5]),
-    ("PINHOLE", [700, 710, 400.5, 300.5], [610.5, 158.5]),
-    ("SIMPLE_RADIAL", [700, 400.5, 300.5, -0.1], [607.77, 162.32]),
-    ("RADIAL", [700, 400.5, 300.5, -0.1, 0.02], [607.84098, 162.27268]),
-    ("OPENCV", [700, 710, 400.5, 300.5, -0.1, 0.02, 0.001, -0.002], [607.32298, 160.617504]),
-    (
-        "FULL_OPENCV",
-        [700, 710, 400.5, 300.5, -0.1, 0.02, 0.001, -0.002, 0.003, 0.01, 0.02, 0.03],
-        [606.9716723374075, 160.85505489565773],
-    ),
-    (
-        "OPENCV_FISHEYE",
-        [700, 710, 400.5, 300.5, -0.1, 0.02, 0.003, -0.004],
-        [599.6950617219318, 165.8061963594556],
-    ),
-    ("SIMPLE_RADIAL_FISHEYE", [700, 400.5, 300.5, -0.1], [599.6363859210435, 167.74240938597094]),
-    ("RADIAL_FISHEYE", [700, 400.5, 300.5, -0.1, 0.02], [599.6941892197424, 167.7038738535051]),
-]
-
-
-@pytest.mark.parametrize(("model", "parameters", "pixel"), COLMAP)
-def test_colmaps_models_by_its_own_arithmetic(tmp_path, model, parameters, pixel):
-    words = " ".join(map(str, parameters))
-    (tmp_path / "cameras.txt").write_text(f"# a comment\n7 {model} 800 600 {words}\n")
-    (tmp_path / "images.txt").write_text("1 1 0 0 0 0 0 0 7 some name.png\n\n")
-    saved = read_calibration(tmp_path)
-    assert saved.rig.names == ("some name",)
-    found = pixels(saved.rig, np.array([[0.3, -0.2, 1.0]]))[0, 0]
-    np.testing.assert_allclose(found, np.array(pixel) - 0.5, rtol=0, atol=1e-9)
-
-
-def test_gltf_holds_cameras_where_they_are(tmp_path):
-    """By glTF's own rules: node transforms, cameras along -z, y up; the corners of an image project to it."""
-    rig, path = rig_of("none"), tmp_path / "rig.gltf"
-    said = write_calibration(rig, path)
-    assert any("lenses, principal points" in sentence for sentence in said)
-    content = json.loads(path.read_text())
-    data = np.frombuffer(base64.b64decode(content["buffers"][0]["uri"].split(",")[1]), np.uint8)
-    view = content["bufferViews"][0]
-    corners = data[view["byteOffset"] :][: view["byteLength"]].view("<f4").reshape(3, 5, 3).astype(float)
-    for i, node in enumerate(content["nodes"][:3]):
-        x, y, z, w = node["rotation"]
-        angle = 2 * np.arctan2(np.linalg.norm([x, y, z]), w)
-        turned = cv2.Rodrigues(np.array([x, y, z]) / np.linalg.norm([x, y, z]) * angle)[0]
-        world = corners[i, 1:] @ turned.T + node["translation"]
-        np.testing.assert_allclose(node["translation"], rig.positions[i], atol=1e-12)
-        edges = [[-0.5, -0.5], [1279.5, -0.5], [1279.5, 719.5], [-0.5, 719.5]]
-        np.testing.assert_allclose(pixels(rig, world)[i], edges, atol=1e-3)
-    with pytest.raises(FileFormatError, match="holds no calibration of a known format"):
-        read_calibration(path)
-    with pytest.raises(UsageError, match="only written, not read"):
-        read_calibration(path, "gltf")
+def test_several_files_need_a_folder(tmp_path):
+    for name, file in (("colmap", "cameras.txt"), ("mrcal", "rig.cameramodel")):
+        with pytest.raises(UsageError, match=f"3 files here .*name a folder, not '{file}'"):
+            write_calibration(rig_of("none"), tmp_path / file, name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_ambiguous_is_named(tmp_path):
@@ -323,61 +231,3 @@ def test_reading_keeps_float64_without_the_global_switch(tmp_path):
         with jax.enable_x64(False):
             back = read_calibration(path).rig
         np.testing.assert_allclose(pixels(back), pixels(rig), rtol=0, atol=1e-6)
-
-
-def test_convert_says_what_is_lost(tmp_path, capsys):
-    source, rig = tmp_path / "calibration.json", rig_of("brown4")
-    write_calibration(SavedCalibration(rig, covariance=np.eye(45)), source)
-    assert main(["convert", str(source), str(tmp_path / "chain.yaml"), "--to", "kalibr", "--json"]) == 0
-    figures = json.loads(capsys.readouterr().out)
-    assert figures["format"] == "kalibr"
-    assert any("covariance" in note for note in figures["notes"])
-    assert main(["convert", str(tmp_path / "chain.yaml"), str(tmp_path / "out"), "--to", "easymocap"]) == 0
-    said = capsys.readouterr().out
-    assert "EasyMocap's intri.yml and extri.yml of 3 cameras (brown lens)" in said
-    assert main(["convert", str(tmp_path / "out"), str(tmp_path / "back.toml"), "--to", "anipose"]) == 0
-    back = read_calibration(tmp_path / "back.toml").rig
-    np.testing.assert_allclose(pixels(back, in_first_camera(rig, POINTS)), pixels(rig), rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["IN"], "Say what to read and what to write"),
-        (["IN", "OUT", "--size", "big"], "--size 'big' is no size of images"),
-        (["IN", "OUT", "--unit", "mm"], r"says its unit \('m'\); leave out --unit mm"),
-        (["IN", "IN", "--force"], "is read and would be replaced"),
-        (["IN", "OLD.toml", "--to", "anipose"], "exists; choose another output, or replace it by --force"),
-        (["IN", "no/where.toml", "--to", "anipose"], "There is no folder"),
-    ],
-)
-def test_convert_refuses(tmp_path, capsys, arguments, message):
-    write_calibration(rig_of("none"), tmp_path / "calibration.json")
-    (tmp_path / "OLD.toml").write_text("")
-    places = {"IN": tmp_path / "calibration.json", "OUT": tmp_path / "rig.qca.txt"}
-    given = [str(places.get(a, tmp_path / a if a.endswith(".toml") else a)) for a in arguments]
-    assert main(["convert", *given]) == 2
-    assert re.search(message, capsys.readouterr().err)
-
-
-def test_convert_lists_all_formats(capsys):
-    assert main(["convert", "--list", "--json"]) == 0
-    assert [fmt["name"] for fmt in json.loads(capsys.readouterr().out)["formats"]] == list(FORMATS)
-
-
-def test_units_are_given_where_a_file_does_not_say_them(tmp_path):
-    rig = rig_of("none")
-    write_calibration(replace(SavedCalibration(rig), unit=UNSTATED), tmp_path / "in.toml", "anipose")
-    arguments = [str(tmp_path / "in.toml"), str(tmp_path / "calibration.json"), "--unit", "mm"]
-    assert main(["convert", *arguments]) == 0
-    saved = read_calibration(tmp_path / "calibration.json")
-    assert saved.unit == "m"
-    np.testing.assert_allclose(saved.rig.positions, np.asarray(rig.positions) / 1000)
-
-
-def test_the_page_has_a_row_for_each_format():
-    """Name, reads and writes of each, in the order of `jaxpoint convert --list`."""
-    page = (Path(__file__).parents[2] / "docs/reference/exchange.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `([\w-]+)` \| [^|]+ \| (yes|no) \| (yes|no) \|", page, re.MULTILINE)
-    known = [(f.name, "no" if f.read is None else "yes", "no" if f.write is None else "yes") for f in FORMATS.values()]
-    assert rows == known

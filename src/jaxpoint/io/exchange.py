@@ -208,7 +208,7 @@ def files_of(saved: SavedCalibration, fmt: CalibrationFormat, path: Path) -> dic
     """What a format writes: names of files and what is in them.
 
     Raises:
-        UsageError: it has no place for a lens, or needs poses and there are none.
+        UsageError: it has no place for a lens, needs poses and there are none, or is several files and `path` is one.
     """
     assert fmt.write is not None
     if fmt.holds.unit == "mm" and saved.unit != "m":
@@ -218,7 +218,12 @@ def files_of(saved: SavedCalibration, fmt: CalibrationFormat, path: Path) -> dic
         )
     if not saved.posed and fmt.needs_poses:
         raise UsageError(f"{fmt.title} needs the poses of the cameras, and there are only lenses.")
-    return dict(fmt.write(saved, path))
+    files = dict(fmt.write(saved, path))
+    if len(files) > 1 and any(_fits(path, pattern) for pattern in fmt.patterns) and not path.is_dir():
+        raise UsageError(
+            f"{fmt.title} is {len(files)} files here ({', '.join(files)}); name a folder, not '{path.name}'."
+        )
+    return files
 
 
 def write_files(path: Path, files: dict[str, bytes]) -> None:

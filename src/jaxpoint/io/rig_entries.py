@@ -81,7 +81,7 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
         return in_metres(saved, unit)
     if saved.unit == UNSTATED:
         raise UsageError(
-            f"'{path}' does not say its unit; give --unit mm, cm or m, or write unit = \"mm\" into its [metadata]."
+            f"'{path}' does not say its unit; give --unit mm, cm or m (a .toml may say unit = \"mm\" in [metadata])."
         )
     if saved.unit != "m":
         raise UsageError(

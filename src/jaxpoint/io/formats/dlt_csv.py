@@ -145,7 +145,10 @@ FORMAT = CalibrationFormat(
     patterns=("*dltCoefs*.csv", "*_profile.txt"),
     recognise=_recognise,
     holds=Holds(
-        lenses="Brown, pinhole (in the profile)", unit=UNSTATED, poses="P, camera from world", pixels="(1, height)"
+        lenses="Brown, pinhole (in the profile)",
+        unit=UNSTATED,
+        poses="P, camera from world",
+        pixels="(1, height), y up",
     ),
     read=_read,
     write=_write,

@@ -180,10 +180,15 @@ def _pair(cameras: list[CameraEntry]) -> dict[str, Any]:
 
 
 def _recognise(path: Path, head: str) -> bool:
-    if re.search(r"projection_matrix|^\s*\[|^cam\d+:", head, re.MULTILINE) or re.search(r"\b(K|R|Rot)_\w+", head):
-        return False
-    named = r"(M[12]|K[12]?|R|[Cc]amera_?[Mm]atrix[12]?)"
-    return re.search(rf'^\s*("{named}"\s*:|<{named}[\s>]|{named}\s*:)', head, re.MULTILINE) is not None
+    """By the names of its matrices; ROS, Kalibr and EasyMocap have some of them too."""
+    named = "(M[12]|K[12]?|R|[Cc]amera_?[Mm]atrix[12]?)"
+    start = head.lstrip()[:1]
+    if start == "{":
+        return '"opencv-matrix"' in head and re.search(rf'"{named}"\s*:', head) is not None
+    if start == "<":
+        return "<opencv_storage" in head and re.search(rf"<{named}[\s>]", head) is not None
+    other = re.search(r"^(projection_matrix|cam\d+):|^(K|Rot|T)_\S+:\s*!!opencv-matrix", head, re.MULTILINE)
+    return other is None and re.search(rf"^{named}\s*:", head, re.MULTILINE) is not None
 
 
 FORMAT = CalibrationFormat(
