@@ -35,6 +35,7 @@ HOLDS = {
     "nerfstudio": BROWN5 | {"fisheye"},
     "vicon": {"none"},  # a radial lens by a fit, below
 }
+RELATIVE = {"opencv", "ros", "kalibr", "colmap-rig"}  # poses are those of a pair, or relative to the first camera
 READ = [name for name, fmt in FORMATS.items() if fmt.read is not None]
 SIZE = (1280, 720)
 NAMES = ("door", "window", "shelf")
@@ -100,7 +101,7 @@ def test_the_same_pixels_after_a_round_trip(tmp_path, name, lens):
         return
     write_calibration(rig, path, name)
     saved = read_calibration(path, size=None if fmt.holds.sizes else SIZE)  # recognised by what is in it
-    points = POINTS if fmt.holds.world else in_first_camera(rig, POINTS)
+    points = in_first_camera(rig, POINTS) if name in RELATIVE else POINTS
     tolerance = 1.0 if (name, lens) == ("vicon", "radial") else 1e-6  # px; the note says it
     order = [saved.rig.names.index(name) for name in fmt.rename(rig.names)]  # files of a folder are read by name
     np.testing.assert_allclose(pixels(saved.rig, points)[order], pixels(rig), rtol=0, atol=tolerance)
@@ -118,7 +119,7 @@ def test_what_a_format_has_no_place_for_is_said(tmp_path, name):
     saved = SavedCalibration(rig, covariance=covariance, time_offsets=TimeOffsets(np.zeros(2), np.zeros(2)))
     fmt, said = FORMATS[name], " ".join(write_calibration(saved, tmp_path / "out", name))
     assert ("covariance" in said) == ("time offsets" in said) == (name != "jaxpoint")
-    assert ("relative to camera 'door'" in said) == (not fmt.holds.world)
+    assert ("relative to camera 'door'" in said) == (name in RELATIVE)
     assert ("--size" in said) == (not fmt.holds.sizes)
     assert ("names the cameras" in said) == (fmt.rename(rig.names) != rig.names)
 
@@ -155,7 +156,8 @@ def test_units(tmp_path, name):
 
 
 def test_ros_cameras_of_more_than_a_pair_are_lenses(tmp_path):
-    write_calibration(rig_of("brown5"), tmp_path / "out", "ros")
+    said = write_calibration(rig_of("brown5"), tmp_path / "out", "ros")
+    assert "no place for the poses of 3 cameras, only of a pair" in said[0]
     assert read_lenses(tmp_path / "out").names == ("door", "shelf", "window")  # by the names of the files
 
 
@@ -231,3 +233,10 @@ def test_reading_keeps_float64_without_the_global_switch(tmp_path):
         with jax.enable_x64(False):
             back = read_calibration(path).rig
         np.testing.assert_allclose(pixels(back), pixels(rig), rtol=0, atol=1e-6)
+
+
+def test_cameras_of_another_rig_do_not_join(tmp_path):
+    write_calibration(rig_of("none"), tmp_path / "out", "mrcal")
+    write_calibration(rig_of("radial"), tmp_path / "out", "mrcal")  # the same cameras are replaced
+    with pytest.raises(UsageError, match=r"holds shelf\.cameramodel already, which would be read as a camera too"):
+        write_calibration(rig_of("none", 2), tmp_path / "out", "mrcal")

@@ -35,7 +35,7 @@ class Convert(Options):
     has no place for is said in a sentence; a lens it has no place for is refused.
     """
 
-    paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    paths: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="IN... OUT")] = ()
     """Files or a folder to read, then the file or folder to write."""
     from_: Annotated[str | None, tyro.conf.arg(name="from")] = None
     """Format of the input, where what is in it does not tell."""

@@ -208,7 +208,8 @@ def files_of(saved: SavedCalibration, fmt: CalibrationFormat, path: Path) -> dic
     """What a format writes: names of files and what is in them.
 
     Raises:
-        UsageError: it has no place for a lens, needs poses and there are none, or is several files and `path` is one.
+        UsageError: it has no place for a lens, needs poses and there are none, is several files and `path` is one, or
+            others of its files are in the folder.
     """
     assert fmt.write is not None
     if fmt.holds.unit == "mm" and saved.unit != "m":
@@ -223,6 +224,10 @@ def files_of(saved: SavedCalibration, fmt: CalibrationFormat, path: Path) -> dic
         raise UsageError(
             f"{fmt.title} is {len(files)} files here ({', '.join(files)}); name a folder, not '{path.name}'."
         )
+    inside = path.iterdir() if fmt.per_camera and path.is_dir() else ()
+    others = [file.name for file in inside if file.name not in files and any(_fits(file, p) for p in fmt.patterns)]
+    if others:
+        raise UsageError(f"'{path}' holds {others[0]} already, which would be read as a camera too; name a new folder.")
     return files
 
 

@@ -138,7 +138,7 @@ class Holds:
 
     lenses: str  # in words
     unit: str  # of lengths: "m", "mm", "any" (the file says it), or UNSTATED
-    poses: str = "camera from world"  # how they stand there, in words; "none" where there is no place for them
+    poses: str = "camera from world"  # how they stand there, in words
     pixels: str = "centre"  # what (0, 0) is: the "centre" of the first pixel, or its "corner"
     sizes: bool = True  # whether image sizes are kept
     world: bool = True  # whether the world frame is kept; False: it becomes that of the first camera
@@ -190,18 +190,21 @@ class CalibrationFormat:
             lost.append("the time offsets of the cameras")
         if saved.rig.reach is not None:
             lost.append("how far each lens model holds (reach_px)")
-        if saved.posed and self.holds.poses == "none":
-            lost.append("the poses of the cameras")
         if not self.holds.sizes:
             lost.append("the image sizes (reading asks for --size)")
         said = [f"{self.title} has no place for {thing}; calibration.json keeps it." for thing in lost]
         if (names := self.rename(saved.rig.names)) != saved.rig.names:
             said.append(f"{self.title} names the cameras {', '.join(names)} for {', '.join(saved.rig.names)}.")
-        if saved.posed and not self.holds.world and self.holds.poses != "none":
-            said.append(f"{self.title} has no world frame: poses are relative to camera '{saved.rig.names[0]}'.")
+        if saved.posed and not self.holds.world:
+            said.append(relative_frame(self.title, saved))
         if saved.posed and saved.unit != "m" and self.holds.unit != "any":
             unit = "whose unit was not stated" if saved.unit == UNSTATED else "in an arbitrary unit"
             said.append(f"{self.title} does not say the unit of lengths, and these are lengths {unit}.")
         if saved.posed and saved.unit == "m" and self.holds.unit == UNSTATED:
             said.append(f"{self.title} does not say the unit of lengths (these are metres): read it with --unit m.")
         return (*said, *self.more_losses(saved))
+
+
+def relative_frame(title: str, saved: SavedCalibration) -> str:
+    """The sentence of a format whose poses are relative to the first camera."""
+    return f"{title} has no world frame: poses are relative to camera '{saved.rig.names[0]}'."

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, Holds, Request
+from jaxpoint.io.formats.calibration_format import UNSIZED, CalibrationFormat, Holds, Request, relative_frame
 from jaxpoint.io.formats.fields import (
     camera_entry,
     lens_kind,
@@ -142,6 +142,10 @@ def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     return {f"{s}{suffix}": encode_storage(path, _single(c)) for s, c in zip(file_stems(saved.rig.names), cameras)}
 
 
+def _lost(saved: SavedCalibration) -> list[str]:
+    return [relative_frame(TITLE, saved)] if saved.posed and len(saved.rig) == 2 else []
+
+
 def _lens(camera: CameraEntry) -> tuple[np.ndarray, np.ndarray, int]:
     """K, coefficients in a row, and whether they are cv::fisheye's."""
     if lens_kind(camera) == "kannala_brandt":
@@ -196,9 +200,10 @@ FORMAT = CalibrationFormat(
     title=TITLE,
     patterns=("*.yml", "*.yaml", "*.xml", "*.json"),
     recognise=_recognise,
-    holds=Holds(lenses="Brown, pinhole, rational, fisheye", unit=UNSTATED, poses="x_2 = R x_1 + T", world=False),
+    holds=Holds(lenses="Brown, pinhole, rational, fisheye", unit=UNSTATED, poses="x_2 = R x_1 + T of a pair"),
     read=_read,
     write=_write,
+    more_losses=_lost,
     per_camera=True,
     needs_poses=False,
 )

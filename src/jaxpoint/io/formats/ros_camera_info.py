@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile
+from jaxpoint.io.formats.calibration_format import CalibrationFormat, Holds, Request, SourceFile, relative_frame
 from jaxpoint.io.formats.fields import (
     camera_entry,
     lens_kind,
@@ -87,6 +87,14 @@ def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
     return {f"{s}.yaml": _text(c, part).encode() for s, c, part in zip(stems, cameras, rectified)}
 
 
+def _lost(saved: SavedCalibration) -> list[str]:
+    if not saved.posed:
+        return []
+    if len(saved.rig) == 2:
+        return [relative_frame(TITLE, saved)]
+    return [f"{TITLE} has no place for the poses of {len(saved.rig)} cameras, only of a pair: they are lost."]
+
+
 def _rectified(cameras: list[CameraEntry]) -> list[tuple[np.ndarray, np.ndarray]]:
     """R and P of a pair: x along the baseline, z as near to the optical axes as that allows, one pinhole for both."""
     (first, t_first), (second, t_second) = (pose_of(camera) for camera in cameras)
@@ -146,10 +154,10 @@ FORMAT = CalibrationFormat(
         lenses="Brown, pinhole, rational, fisheye",
         unit="m",
         poses="of a pair only: R and P with the baseline",
-        world=False,
     ),
     read=_read,
     write=_write,
+    more_losses=_lost,
     per_camera=True,
     needs_poses=False,
 )
