@@ -141,11 +141,14 @@ class _Reader:
         if text[0] not in "[{":
             self.at += 1
             return _scalar(text)
-        while text.count("[") + text.count("{") > text.count("]") + text.count("}"):
+        parts, open_brackets = [text], _opened(text)
+        while open_brackets > 0:
             self.at += 1
             if self.at >= len(self.lines):
                 raise self.error("a bracket is not closed")
-            text += " " + self.lines[self.at].text
+            parts.append(self.lines[self.at].text)
+            open_brackets += _opened(parts[-1])
+        text = " ".join(parts)
         value, end = self._flow(text, 0, depth)
         if text[end:].strip():
             raise self.error(f"'{text[end:].strip()[:20]}' stands after the bracket")
@@ -189,6 +192,11 @@ class _Reader:
         if closing == "]":
             return [value for _, value in items]
         return {str(key): value for key, value in items}
+
+
+def _opened(text: str) -> int:
+    """How many more brackets open than close."""
+    return text.count("[") + text.count("{") - text.count("]") - text.count("}")
 
 
 def _scalar(text: str) -> Any:
