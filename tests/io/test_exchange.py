@@ -109,6 +109,7 @@ def test_the_same_pixels_after_a_round_trip(tmp_path, name, lens):
     assert saved.rig.image_sizes.tolist() == [list(SIZE)] * count
     assert saved.unit == (UNSTATED if fmt.holds.unit == UNSTATED else "m")
     assert saved.posed
+    assert saved.in_room == (name not in RELATIVE)  # a camera's frame has neither floor nor up
     assert bool(saved.notes) == ((name, lens) == ("vicon", "radial"))
 
 
@@ -240,3 +241,30 @@ def test_cameras_of_another_rig_do_not_join(tmp_path):
     write_calibration(rig_of("radial"), tmp_path / "out", "mrcal")  # the same cameras are replaced
     with pytest.raises(UsageError, match=r"holds shelf\.cameramodel already, which would be read as a camera too"):
         write_calibration(rig_of("none", 2), tmp_path / "out", "mrcal")
+
+
+@pytest.mark.parametrize("name", READ)
+def test_metres_without_a_room_are_said(tmp_path, name):
+    """Where the frame becomes a camera's, reading says it; else the file or a sentence does."""
+    path, saved = target_of(name, tmp_path), SavedCalibration(rig_of("none", 2), in_room=False)
+    said = " ".join(write_calibration(saved, path, name))
+    keeps = name in RELATIVE | {"jaxpoint", "anipose"}
+    assert ("its frame is not the room's" in said) == (not keeps)
+    assert read_calibration(path, size=SIZE).in_room == (not keeps)
+
+
+def test_a_camera_without_a_pose_makes_lenses_of_all(tmp_path):
+    write_calibration(rig_of("none"), tmp_path / "calibration.toml", "anipose")
+    text = (tmp_path / "calibration.toml").read_text()
+    at = text.rindex("rotation = [")
+    (tmp_path / "calibration.toml").write_text(text[:at] + text[text.index("[metadata]") :])
+    saved = exchange.read_cameras(tmp_path / "calibration.toml", poses=False)
+    assert (saved.posed, len(saved.rig)) == (False, 3)
+    assert "only lenses were taken, because camera 'shelf' has no pose" in saved.notes[0]
+
+
+def test_a_named_format_in_the_folder_of_a_run(tmp_path):
+    write_calibration(rig_of("none"), tmp_path / "calibration.json")
+    write_calibration(rig_of("radial"), tmp_path, "colmap")
+    assert read_calibration(tmp_path).rig.cameras.distortion[0, 0] == 0  # a run goes before
+    assert read_calibration(tmp_path, "colmap").rig.cameras.distortion[0, 0] == -0.2

@@ -56,8 +56,9 @@ def read_cameras(
     """As `read_calibration`, without a word of what must be known beside it; `poses` False lets cameras go without."""
     paths = _paths(path)
     label = str(paths[0]) if len(paths) == 1 else ", ".join(map(str, paths))
-    files, folder = _files(paths)
-    chosen, files = _chosen(label, files, folder, None if format is None else format_of_name(format))
+    wanted = None if format is None else format_of_name(format)
+    files, folder = _files(paths, wanted)
+    chosen, files = _chosen(label, files, folder, wanted)
     if chosen.read is None:
         raise UsageError(f"{chosen.title} is only written, not read.")
     return chosen.read(Request(files, chosen.title, poses, size, label))
@@ -76,11 +77,11 @@ def _paths(path: Paths) -> list[Path]:
     return [Path(one) for one in given]
 
 
-def _files(paths: list[Path]) -> tuple[list[SourceFile], bool]:
+def _files(paths: list[Path], wanted: CalibrationFormat | None) -> tuple[list[SourceFile], bool]:
     """The files to look at, and whether they are all of a folder (of which some may be other things)."""
     if len(paths) == 1 and paths[0].is_dir():
         run = paths[0] / "calibration.json"
-        if run.is_file():
+        if run.is_file() and (wanted is None or run.name in wanted.patterns):
             return [SourceFile(run)], False
         known = [pattern for one in FORMATS.values() for pattern in one.patterns]
         inside = [path for path in paths[0].iterdir() if path.is_file() and any(_fits(path, p) for p in known)]

@@ -89,8 +89,8 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
         )
     if not saved.in_room:
         raise UsageError(
-            f"'{path}' has metres, but neither floor nor up (a target gave its scale); bring it into the room by "
-            "`jaxpoint align`."
+            f"'{path}' has metres, but neither floor nor up (a target gave its scale, or a camera its frame); bring "
+            "it into the room by `jaxpoint align`."
         )
     return saved
 

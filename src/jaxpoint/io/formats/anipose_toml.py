@@ -129,7 +129,7 @@ FORMAT = CalibrationFormat(
     title=TITLE,
     patterns=("*.toml",),
     recognise=_recognise,
-    holds=Holds(lenses="Brown, pinhole, rational, fisheye", unit="any"),
+    holds=Holds(lenses="Brown, pinhole, rational, fisheye", unit="any", room=True),
     read=_read,
     write=_write,
     needs_poses=False,

@@ -107,6 +107,9 @@ class Request:
         for camera in sized:
             check_entry(f"{self.where}, camera '{camera.name}': ", camera)
         posed = all(camera.rotation is not None and camera.translation is not None for camera in sized)
+        without = [camera.name for camera in sized if camera.rotation is None]
+        if without and len(without) < len(sized):
+            notes = (*notes, f"{self.where}: only lenses were taken, because camera '{without[0]}' has no pose.")
         rig = rig_of_entries(self.where, sized, self.poses)
         saved = SavedCalibration(
             rig, unit, provenance=dict(provenance or {}), in_room=in_room, posed=posed, notes=tuple(notes)
@@ -142,6 +145,7 @@ class Holds:
     pixels: str = "centre"  # what (0, 0) is: the "centre" of the first pixel, or its "corner"
     sizes: bool = True  # whether image sizes are kept
     world: bool = True  # whether the world frame is kept; False: it becomes that of the first camera
+    room: bool = False  # whether a file tells a frame that is not the room's, because it says so or is a camera's
 
 
 Reader = Callable[[Request], SavedCalibration]
@@ -200,6 +204,8 @@ class CalibrationFormat:
         if saved.posed and saved.unit != "m" and self.holds.unit != "any":
             unit = "whose unit was not stated" if saved.unit == UNSTATED else "in an arbitrary unit"
             said.append(f"{self.title} does not say the unit of lengths, and these are lengths {unit}.")
+        if saved.posed and saved.unit == "m" and not saved.in_room and not self.holds.room:
+            said.append(f"{self.title} does not say that its frame is not the room's (these metres have no floor).")
         if saved.posed and saved.unit == "m" and self.holds.unit == UNSTATED:
             said.append(f"{self.title} does not say the unit of lengths (these are metres): read it with --unit m.")
         return (*said, *self.more_losses(saved))

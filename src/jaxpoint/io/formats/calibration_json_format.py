@@ -24,7 +24,7 @@ FORMAT = CalibrationFormat(
     title="jaxpoint's calibration.json",
     patterns=("calibration.json",),
     recognise=lambda path, head: re.search(rf'"format"\s*:\s*"{CALIBRATION_FORMAT}"', head) is not None,
-    holds=Holds(lenses="all", unit="any"),
+    holds=Holds(lenses="all", unit="any", room=True),
     read=_read,
     write=_write,
     needs_poses=False,

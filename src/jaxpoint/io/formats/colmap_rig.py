@@ -32,9 +32,8 @@ def _read(request: Request) -> SavedCalibration:
     cameras = rigs[0].get("cameras") if len(rigs) == 1 and isinstance(rigs[0], dict) else None
     if not isinstance(cameras, list) or not cameras or not all(isinstance(camera, dict) for camera in cameras):
         raise FileFormatError(f"{path} must be a list of one rig with its cameras; it holds {len(rigs)} rigs.")
-    return request.saved(
-        [_camera(f"{path}, cameras[{i}]: ", camera) for i, camera in enumerate(cameras)], unit=UNSTATED
-    )
+    found = [_camera(f"{path}, cameras[{i}]: ", camera) for i, camera in enumerate(cameras)]
+    return request.saved(found, unit=UNSTATED, in_room=False)
 
 
 def _camera(where: str, table: dict[str, Any]) -> CameraEntry:
@@ -84,6 +83,7 @@ FORMAT = CalibrationFormat(
     patterns=("rig_config*.json", "*rig_config.json"),
     recognise=lambda path, head: re.search(r'"image_prefix"\s*:', head) is not None,
     holds=Holds(
+        room=True,
         lenses="Brown, pinhole, rational, fisheye",
         unit=UNSTATED,
         poses="camera from rig",

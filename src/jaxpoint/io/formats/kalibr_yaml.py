@@ -42,7 +42,7 @@ def _read(request: Request) -> SavedCalibration:
     cameras = [
         _camera(f"{file.path}, {name}: ", name, table, pose) for (name, table), pose in zip(tables.items(), poses)
     ]
-    return request.saved(cameras, notes=notes)
+    return request.saved(cameras, notes=notes, in_room=False)
 
 
 def _tables(file: SourceFile) -> dict[str, dict[str, Any]]:
@@ -153,7 +153,11 @@ FORMAT = CalibrationFormat(
     patterns=("*.yaml", "*.yml"),
     recognise=_recognise,
     holds=Holds(
-        lenses="Brown without k3, pinhole, fisheye", unit="m", poses="T_cn_cnm1, camera to camera", world=False
+        room=True,
+        lenses="Brown without k3, pinhole, fisheye",
+        unit="m",
+        poses="T_cn_cnm1, camera to camera",
+        world=False,
     ),
     read=_read,
     write=_write,

@@ -81,7 +81,7 @@ def _read_pair(request: Request, table: dict[str, Any]) -> SavedCalibration:
     second = (rotation, read_numbers(where, table, "t", (3,))) if posed else None
     first = (np.eye(3), np.zeros(3)) if posed else None
     cameras = [_camera(where, table, f"cam_{i}", str(i), pose) for i, pose in ((1, first), (2, second))]
-    return request.saved(cameras, unit=UNSTATED)
+    return request.saved(cameras, unit=UNSTATED, in_room=False)
 
 
 def _camera(
@@ -143,7 +143,10 @@ def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
 
 
 def _lost(saved: SavedCalibration) -> list[str]:
-    return [relative_frame(TITLE, saved)] if saved.posed and len(saved.rig) == 2 else []
+    if saved.posed and len(saved.rig) == 2:
+        return [relative_frame(TITLE, saved)]
+    unsaid = saved.posed and not saved.in_room
+    return [f"{TITLE} does not say of {len(saved.rig)} cameras that their frame is not the room's."] if unsaid else []
 
 
 def _lens(camera: CameraEntry) -> tuple[np.ndarray, np.ndarray, int]:
@@ -200,7 +203,9 @@ FORMAT = CalibrationFormat(
     title=TITLE,
     patterns=("*.yml", "*.yaml", "*.xml", "*.json"),
     recognise=_recognise,
-    holds=Holds(lenses="Brown, pinhole, rational, fisheye", unit=UNSTATED, poses="x_2 = R x_1 + T of a pair"),
+    holds=Holds(
+        room=True, lenses="Brown, pinhole, rational, fisheye", unit=UNSTATED, poses="x_2 = R x_1 + T of a pair"
+    ),
     read=_read,
     write=_write,
     more_losses=_lost,

@@ -42,7 +42,7 @@ def _read(request: Request) -> SavedCalibration:
         _camera(f"{file.path}: ", table, name, pose)
         for file, table, name, pose in zip(request.files, tables, names, poses)
     ]
-    return request.saved(cameras)
+    return request.saved(cameras, in_room=False)
 
 
 def _table(file: SourceFile) -> dict[str, Any]:
@@ -151,6 +151,7 @@ FORMAT = CalibrationFormat(
     patterns=("*.yaml", "*.yml"),
     recognise=_recognise,
     holds=Holds(
+        room=True,
         lenses="Brown, pinhole, rational, fisheye",
         unit="m",
         poses="of a pair only: R and P with the baseline",
