@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.io.files import StrPath, read_table
-from jaxpoint.io.qualisys import read_qualisys
+from jaxpoint.io.formats.qualisys_xml import read_qualisys
 from jaxpoint.triangulation import Triangulation, triangulate
 
 LABELS = Path(__file__).parents[1] / "tests" / "data"

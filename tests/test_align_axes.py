@@ -13,7 +13,7 @@ from jaxpoint.commands.align import align
 from jaxpoint.config import AlignSettings
 from jaxpoint.errors import InsufficientDataError
 from jaxpoint.geometry.pose import Similarity
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.track_files import read_tracks
 from jaxpoint.triangulation import triangulate
 

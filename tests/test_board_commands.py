@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxpoint.cli import main
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.track_files import load_tracks
 from jaxpoint.runs import read_run
 

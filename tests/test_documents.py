@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from jaxpoint.camera.lenses import LENSES
+from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
 from jaxpoint.detection import PeopleRequest, detect_people, unregister_detector
 from jaxpoint.geometry.line import Ray
+from jaxpoint.io import FORMATS, read_calibration, write_calibration
 from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.object_files import parse_objects
 from jaxpoint.io.session import open_session
@@ -30,15 +32,31 @@ PAGES = {
     path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8")
     for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 }
+SHOWN = "|".join(
+    [
+        "detect",
+        "objects",
+        "bias",
+        "check",
+        "calibrate",
+        "align",
+        "validate",
+        "diff",
+        "convert",
+        "simulate",
+        "demo",
+        "point",
+        "board",
+        "intrinsics",
+        "stereo",
+        "undistort",
+    ]
+)
 COMMANDS = sorted(
     {
         line.strip()
         for text in PAGES.values()
-        for line in re.findall(
-            r"jaxpoint (?:detect|objects|bias|check|calibrate|align|validate|diff|simulate|demo|point|board|intrinsics"
-            r"|stereo|undistort) [^`#\n]*",
-            text,
-        )
+        for line in re.findall(rf"jaxpoint (?:{SHOWN}) [^`#\n]*", text)
         if len(line.split()) > (3 if line.split()[1] in ("detect", "objects", "bias") else 2)
     }
 )
@@ -83,12 +101,9 @@ def test_the_readme_is_short():
 def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
-    run |= {("docs/extend.md", 0), ("docs/extend.md", 1), ("docs/extend.md", 2), ("docs/extend.md", 3)}
-    imported = {
-        ("docs/guides/uncertainty.md", 0),
-        ("docs/guides/clusters.md", 0),
-        ("docs/guides/boards.md", 0),
-    }  # by tests/test_public.py
+    run |= {("docs/extend.md", number) for number in range(5)} | {("docs/reference/exchange.md", 0)}
+    pages = ("docs/guides/uncertainty.md", "docs/guides/clusters.md", "docs/guides/boards.md")
+    imported = {(page, 0) for page in pages}  # by tests/test_public.py
     assert shown == run | imported
 
 
@@ -131,6 +146,28 @@ def test_the_objects_shown_are_pointed_at(tmp_path, monkeypatch):
     exec(blocks("docs/guides/objects.md", "python")[0], names)
     assert bool(names["hits"].valid[0])
     assert float(names["answer"].probability[0]) > 0.5
+
+
+def test_the_formats_shown_are_read_and_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rig, names = two_cameras(), {}
+    try:
+        exec(blocks("docs/extend.md", "python")[4], names)
+        assert write_calibration(rig, "room.mine") == ()
+        np.testing.assert_allclose(read_calibration("room.mine").rig.positions, rig.positions, atol=1e-12)
+    finally:
+        FORMATS.pop("mine", None)
+    write_calibration(rig, "calibration.json")
+    exec(blocks("docs/reference/exchange.md", "python")[0], names)
+    assert names["to_mrcal"]("calibration.json") == ()
+    assert len(list((tmp_path / "models").glob("*.cameramodel"))) == len(rig)
+
+
+def two_cameras() -> CameraRig:
+    turns = np.tile(np.eye(3), (2, 1, 1))
+    places = np.array([[0.0, 0.0, 4.0], [1.0, 0.0, 4.0]])
+    sizes = np.tile([640, 480], (2, 1))
+    return CameraRig.from_parameters(sizes + 100.0, sizes / 2.0, np.zeros((2, 5)), turns, places, sizes)
 
 
 def test_the_files_of_objects_shown_can_be_read():

@@ -7,11 +7,14 @@ import pytest
 
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.rational import Rational
+from jaxpoint.camera.rig import CameraRig
 from jaxpoint.commands.inputs import intrinsics_from
 from jaxpoint.config import InputSettings
 from jaxpoint.errors import FileFormatError, JaxpointError, UsageError
-from jaxpoint.io.calibration import read_calibration, read_lenses
+from jaxpoint.io.exchange import read_calibration, read_lenses, write_calibration
+from jaxpoint.io.formats.format_registry import FORMATS
 from jaxpoint.io.lens_entries import read_coefficients
+from jaxpoint.io.rig_entries import SavedCalibration
 from jaxpoint.tracks import Tracks
 
 NAMES = tuple(f"cam_{i}" for i in range(5))
@@ -29,6 +32,8 @@ cam1:
   T_cn_cnm1:
   - [1.0, 0.0, 0.0, -0.1]
   - [0.0, 1.0, 0.0, 0.0]
+  - [0.0, 0.0, 1.0, 0.0]
+  - [0.0, 0.0, 0.0, 1.0]
   camera_model: pinhole
   distortion_coeffs: []
   distortion_model: none
@@ -113,7 +118,7 @@ def test_a_folder_holds_one_file_a_camera(data_folder, tmp_path):
     assert rig.cameras.focal.tolist() == [[900, 901], [945, 945]]
     for broken in ("a: [1, 2", "plain words", "", "camera_matrix: 3\n", text.replace("image_width: 1280", "")):
         (tmp_path / "door.yml").write_text(broken)
-        with pytest.raises(FileFormatError, match=r"door.yml: .*image_width"):
+        with pytest.raises(FileFormatError, match=r"door.yml.* (is no file of OpenCV|image_width|must hold|matrix)"):
             read_lenses(tmp_path)
 
 
@@ -141,7 +146,7 @@ def test_a_calibration_needs_poses(data_folder):
     for name in ("nopose.json", "noextr.toml"):
         with pytest.raises(FileFormatError, match=r"'cam_0' has no rotation and translation|'rotation' is missing"):
             read_calibration(folder / name)
-    with pytest.raises(FileFormatError, match=r"no calibration; .*jaxpoint calibrate --intrinsics"):
+    with pytest.raises(FileFormatError, match=r"'cam0' has no rotation and .*\(--intrinsics\)"):
         read_calibration(folder / "camchain.yaml")
 
 
@@ -157,3 +162,29 @@ def test_coefficients_in_opencvs_order(count):
 def test_coefficients_that_are_none(values):
     with pytest.raises(FileFormatError, match=r"x: the distortion must be (4 or 5 )?finite numbers"):
         read_coefficients("x: ", values)
+
+
+@pytest.mark.parametrize("name", [name for name, fmt in FORMATS.items() if fmt.read is not None])
+def test_lenses_of_every_exchange_format(tmp_path, name):
+    """Names as the format has them; an image size that a file does not hold is that of the tracks."""
+    turns, places = np.tile(np.eye(3), (2, 1, 1)), np.array([[0.0, 0.0, 4.0], [1.0, 0.0, 4.0]])
+    sizes = np.array([[1280, 720]] * 2)
+    focal, center = np.array([[900.0, 905.0], [800.0, 810.0]]), np.array([[640.0, 361.0], [600.0, 350.0]])
+    rig = CameraRig.from_parameters(focal, center, np.zeros((2, 5)), turns, places, sizes, ("cam0", "cam1"))
+    fmt = FORMATS[name]
+    files = fmt.write(SavedCalibration(rig), tmp_path / "x")
+    path = tmp_path / (next(iter(files)) if len(files) == 1 else "out")
+    write_calibration(rig, path, name)
+    found = given(path, names=fmt.rename(rig.names))
+    np.testing.assert_allclose(found.cameras.focal, focal, rtol=1e-12)
+    np.testing.assert_allclose(found.cameras.center, center, rtol=1e-12)
+    assert found.image_sizes.tolist() == [[1280, 720]] * 2
+
+
+def test_a_size_that_a_file_does_not_hold_is_that_of_the_tracks(tmp_path):
+    text = "%YAML:1.0\n---\nnames: [a]\nK_a: !!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n"
+    text += "  data: [900., 0., 640., 0., 900., 360., 0., 0., 1.]\ndist_a: !!opencv-matrix\n  rows: 1\n  cols: 4\n"
+    (tmp_path / "intri.yml").write_text(f"{text}  dt: d\n  data: [0., 0., 0., 0.]\n")
+    assert given(tmp_path, names=("a",)).image_sizes.tolist() == [[1280, 720]]
+    with pytest.raises(UsageError, match="holds no image size of camera 'a'; give it: --size"):
+        read_lenses(tmp_path)

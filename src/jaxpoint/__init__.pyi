@@ -20,7 +20,7 @@ from .calibration.result import (
 )
 from .calibration.quality import assess as assess
 from .calibration.factors import Factors as Factors, factorise as factorise
-from .io.calibration import read_calibration as read_calibration
+from .io.exchange import read_calibration as read_calibration, write_calibration as write_calibration
 from .runs import read_run as read_run
 from .report.html import write_report as write_report
 

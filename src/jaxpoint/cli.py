@@ -30,6 +30,7 @@ from jaxpoint.commands.board import Board
 from jaxpoint.commands.calibrate import Calibrate
 from jaxpoint.commands.check import Check
 from jaxpoint.commands.console import Console
+from jaxpoint.commands.convert import Convert
 from jaxpoint.commands.demo import Demo
 from jaxpoint.commands.detect_board import DetectBoard
 from jaxpoint.commands.detect_led import DetectLed
@@ -67,6 +68,7 @@ Command = (
     | Align
     | Validate
     | Diff
+    | Convert
     | Doctor
     | Demo
     | Simulate

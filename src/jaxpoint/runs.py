@@ -28,7 +28,7 @@ from jaxpoint.calibration.result import Calibration
 from jaxpoint.config import RoomConfig, load_config, to_toml
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.extras import extra
-from jaxpoint.io.calibration import write_calibration_toml
+from jaxpoint.io.formats.anipose_toml import write_calibration_toml
 from jaxpoint.io.result_files import load_result, save_result
 from jaxpoint.metrics import metrics
 from jaxpoint.report.html import write_report

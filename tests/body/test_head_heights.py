@@ -10,7 +10,8 @@ from test_joint_arms import HEADER, SESSION, landmark_lines
 
 from jaxpoint.body.head_heights import height_remedy
 from jaxpoint.cli import main
-from jaxpoint.io.calibration import read_calibration, write_calibration_toml
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.anipose_toml import write_calibration_toml
 
 TURN = np.diag([1.0, -1.0, -1.0])
 
@@ -74,7 +75,7 @@ def test_a_toml_without_unit_is_asked_for_it(landmarks, tmp_path, capsys):
     path.write_text(tomli_w.dumps(content))
     given = ["detect", "person", SESSION, "--calibration", path, "--landmarks", landmarks, "--out", tmp_path / "out"]
     assert main([str(part) for part in given]) == 2
-    assert "does not say its unit; give --unit mm, cm or m, or write unit" in capsys.readouterr().err
+    assert "does not say its unit; give --unit mm, cm or m (a .toml may say unit" in capsys.readouterr().err
     assert main([*map(str, given), "--unit", "mm"]) == 0
     content["metadata"]["unit"] = "mm"
     path.write_text(tomli_w.dumps(content))

@@ -17,7 +17,7 @@ from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import main
 from jaxpoint.config import CalibrateSettings, OutlierSettings, RoomConfig
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.track_files import save_tracks
 from jaxpoint.runs import write_run
 from jaxpoint.simulate.rooms import random_room

@@ -16,7 +16,8 @@ from jaxpoint.calibration.quality import assess
 from jaxpoint.camera.lens import AbstractLens, Coefficient
 from jaxpoint.camera.lenses import LENSES, register_lens
 from jaxpoint.config import LensSettings
-from jaxpoint.io.calibration import read_calibration, write_calibration_json
+from jaxpoint.io.calibration import write_calibration_json
+from jaxpoint.io.exchange import read_calibration
 
 
 # A lens of one file, whole: the field-of-view model of Devernay and Faugeras (2001).

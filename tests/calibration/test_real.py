@@ -11,7 +11,7 @@ from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
-from jaxpoint.io.calibration import read_camera_array
+from jaxpoint.io.formats.caliscope_toml import read_camera_array
 from jaxpoint.io.track_files import read_caliscope_corners, read_tracks
 from jaxpoint.tracks import Tracks
 

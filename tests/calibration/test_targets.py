@@ -21,7 +21,8 @@ from jaxpoint.calibration.sight import centres
 from jaxpoint.camera.parameters import adjusted_lenses
 from jaxpoint.config import LensSettings
 from jaxpoint.errors import InsufficientDataError, UsageError
-from jaxpoint.io.calibration import read_calibration, write_calibration_toml
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.anipose_toml import write_calibration_toml
 from jaxpoint.io.result_files import load_result, save_result
 from jaxpoint.io.rig_entries import needs_metres
 from jaxpoint.simulate.rooms import random_room

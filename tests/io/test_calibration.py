@@ -16,13 +16,9 @@ from jaxpoint.camera.camera import POSE_NAMES, Camera
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.rational import Rational
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import (
-    read_calibration,
-    read_calibration_json,
-    read_calibration_toml,
-    write_calibration_json,
-    write_calibration_toml,
-)
+from jaxpoint.io.calibration import read_calibration_json, write_calibration_json
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.anipose_toml import read_calibration_toml, write_calibration_toml
 from jaxpoint.simulate.rooms import random_room
 
 ROOM = random_room(3, cameras=11)
@@ -208,16 +204,22 @@ def test_wrong_toml_names_the_section(tmp_path, path, value, message):
 
 def test_what_is_no_calibration(tmp_path):
     for name, text, message in (
-        ("a.json", "{", "truncated; copy it again"),
-        ("b.json", "[]", "is not a calibration.json"),
-        ("c.toml", "= 1", "it is not TOML"),
-        ("d.toml", "[metadata]\n", "holds no camera"),
-        ("e.toml", "cameras = 3\n", "is no camera_array.toml"),
-        ("f.yaml", "", "is no calibration; give"),
+        ("a.json", '{"format": "jaxpoint-calibration", ', "truncated; copy it again"),
+        ("b.json", "[]", "holds no calibration of a known format; name it by --from NAME"),
+        ("c.toml", "[cam_0]\ndistortions = 1\n= 1", "it is not TOML"),
+        ("d.toml", "[metadata]\n", "holds no calibration of a known format"),
+        ("e.toml", "[cameras.0]\n[cameras]\n", r"\[cameras.0\]: 'distortions' is missing"),
+        ("f.yaml", "", "holds no calibration of a known format"),
     ):
         (tmp_path / name).write_text(text)
         with pytest.raises(FileFormatError, match=message):
             read_calibration(tmp_path / name)
+    for text, message in (("= 1", "it is not TOML"), ("[metadata]\n", "holds no camera")):
+        (tmp_path / "g.toml").write_text(text)
+        with pytest.raises(FileFormatError, match=message):
+            read_calibration(tmp_path / "g.toml", "anipose")
+    with pytest.raises(FileFormatError, match=r"is no camera_array\.toml"):
+        read_calibration(tmp_path / "g.toml", "caliscope")
     with pytest.raises(FileFormatError, match="There is no file"):
         read_calibration(tmp_path / "nothing.json")
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import read_calibration
-from jaxpoint.io.qualisys import read_qualisys
+from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.formats.qualisys_xml import read_qualisys
 
 ROTATION = cv2.Rodrigues(np.array([0.3, -1.1, 0.4]))[0]
 POSITION_MM = (1460.0, -1909.0, 1897.0)

@@ -13,7 +13,7 @@ from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.pointing import RoomExtent
 from jaxpoint.config.simulation import FaultSettings, SimulationSettings, ViewpointSettings
 from jaxpoint.errors import UsageError
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.session import open_session
 from jaxpoint.io.timestamps import read_timestamps
 from jaxpoint.io.video import open_frames

@@ -80,7 +80,7 @@ class Demo(SeededOptions):
     def _answered(self, session: Path, out: Path, progress: Progress) -> Outcome:
         from jaxpoint.commands.answers_folder import write_answers
         from jaxpoint.commands.point import Point, answer_lines
-        from jaxpoint.io.calibration import read_calibration
+        from jaxpoint.io.exchange import read_calibration
         from jaxpoint.runs import save_run
 
         calibration = self._calibrated(session, progress)

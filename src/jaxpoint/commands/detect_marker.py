@@ -45,7 +45,7 @@ class DetectMarker(SeededOptions):
     samples: Path
     """Where the marker lies in some images: camera,frame,x,y[,radius_px]; frame is the number of the frame."""
     calibration: Path | None = None
-    """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    """Calibration to use instead of the session's own: the folder of a run, or any that `jaxpoint convert` reads."""
     unit: Unit = None
     """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     format: Literal["csv", "parquet"] = "csv"

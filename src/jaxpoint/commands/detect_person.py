@@ -42,7 +42,7 @@ class DetectPerson(SeededOptions):
     session: Annotated[Path, tyro.conf.Positional]
     """Folder of the session, or of its videos."""
     calibration: Path | None = None
-    """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    """Calibration to use instead of the session's own: the folder of a run, or any that `jaxpoint convert` reads."""
     unit: Unit = None
     """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     landmarks: Path | None = None

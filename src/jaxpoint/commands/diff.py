@@ -17,7 +17,7 @@ from jaxpoint.extras import extra
 if TYPE_CHECKING:
     import numpy as np
 
-    from jaxpoint.io.calibration import SavedCalibration
+    from jaxpoint.io.rig_entries import SavedCalibration
     from jaxpoint.report.difference_page import Compared
 
 
@@ -33,7 +33,7 @@ class Diff(Options):
     """
 
     first: Annotated[Path, tyro.conf.Positional]
-    """A run, or a calibration.json."""
+    """A run, or a calibration of any format (`jaxpoint convert --list`)."""
     second: Annotated[Path, tyro.conf.Positional]
     """Another of the same room."""
     no_align: bool = field(default=False)
@@ -63,7 +63,8 @@ class Diff(Options):
         from jaxpoint.report.difference_page import figures_of, write_difference_report
         from jaxpoint.runs import MARK, new_run, provenance, write_json
 
-        files = [path / "calibration.json" if path.is_dir() else path for path in (self.first, self.second)]
+        runs = [(path, path / "calibration.json") for path in (self.first, self.second)]
+        files = [inside if inside.is_file() else path for path, inside in runs]
         made = provenance("jaxpoint diff", files, 0)
         titles = str(self.first), str(self.second)
 
@@ -85,7 +86,7 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         InsufficientDataError: they hardly see the same places.
     """
     from jaxpoint.calibration.difference import difference, sampled_places
-    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.exchange import read_calibration
     from jaxpoint.report.difference_page import Compared
 
     one, other = read_calibration(first), read_calibration(second)

@@ -64,7 +64,7 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
         FileFormatError: the file is not what it should be.
         UsageError: a camera is missing in it, or has images of another shape there.
     """
-    from jaxpoint.io.calibration import read_lenses
+    from jaxpoint.io.exchange import read_lenses
     from jaxpoint.io.svoboda import read_rad_folder
 
     path = settings.intrinsics
@@ -72,7 +72,9 @@ def intrinsics_from(settings: InputSettings, tracks: Tracks) -> CameraRig | None
         return None
     if path.is_dir() and any(path.glob("*.rad")):
         return read_rad_folder(path, tracks.image_sizes, tracks.names, settings.one_based)
-    return _lenses_at_size(path, _in_order(path, read_lenses(path), tracks, settings.intrinsics_by_order), tracks)
+    sizes = {(int(width), int(height)) for width, height in tracks.image_sizes}
+    lenses = read_lenses(path, size=sizes.pop() if len(sizes) == 1 else None)
+    return _lenses_at_size(path, _in_order(path, lenses, tracks, settings.intrinsics_by_order), tracks)
 
 
 def _in_order(path: Path, rig: CameraRig, tracks: Tracks, by_order: bool) -> CameraRig:

@@ -56,7 +56,7 @@ class ObjectsAdd(Options):
     views: Path | None = None
     """CSV of clicked corners, camera,corner,x,y, instead of `--corners`; needs `--calibration`."""
     calibration: Path | None = None
-    """The room's cameras in metres, with `--views`: a calibration.json or the folder of a run."""
+    """The room's cameras in metres, with `--views`: the folder of a run, or any that `jaxpoint convert` reads."""
     unit: Unit = None
     """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
 
@@ -193,7 +193,7 @@ def _triangulate_clicks(
     """Points (m), the largest standard deviation of one in any direction (m), and how many cameras took part."""
     import numpy as np
 
-    from jaxpoint.io.calibration import read_calibration
+    from jaxpoint.io.exchange import read_calibration
     from jaxpoint.io.files import read_table
     from jaxpoint.io.rig_entries import needs_metres
     from jaxpoint.landmarks import CLICK_SIGMA_PX, MISCLICK_PX

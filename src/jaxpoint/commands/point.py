@@ -42,7 +42,7 @@ class Point(SeededOptions):
     objects: Path | None = None
     """What can be pointed at, a .csv or .toml; by default the session's own objects.csv."""
     calibration: Path | None = None
-    """Calibration to use instead of the session's own: a calibration.json or the folder of a run."""
+    """Calibration to use instead of the session's own: the folder of a run, or any that `jaxpoint convert` reads."""
     unit: Unit = None
     """Unit of a calibration that does not say it, as a .toml of other programs: m, cm or mm."""
     landmarks: Path | None = None
@@ -127,7 +127,7 @@ class Point(SeededOptions):
         from jaxpoint.detection.person.detectors import PeopleRequest, detect_people
         from jaxpoint.detection.person.session_watch import default_cache
         from jaxpoint.io.bias_files import read_bias
-        from jaxpoint.io.calibration import read_calibration
+        from jaxpoint.io.exchange import read_calibration
         from jaxpoint.io.object_scene import read_scene
         from jaxpoint.io.session import check_session, open_session
         from jaxpoint.io.speech import read_times, read_words

@@ -99,7 +99,7 @@ class Stereo(Options):
     def _read(self, out: Path, sources: BoardSources) -> Outcome:
         from jaxpoint.camera.rig import CameraRig
         from jaxpoint.commands.stereo_results import StereoResults, write_depth_outcome
-        from jaxpoint.io.calibration import read_calibration
+        from jaxpoint.io.exchange import read_calibration
 
         assert self.calibration is not None
         path, *names = self.calibration

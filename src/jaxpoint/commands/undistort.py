@@ -49,8 +49,9 @@ class Undistort(Options):
         hush_opencv(self.verbose)
         from jaxpoint.detection.undistortion import Undistortion, write_undistorted
         from jaxpoint.io.board_sources import open_board_sources
-        from jaxpoint.io.calibration import read_calibration, write_calibration_json
+        from jaxpoint.io.calibration import write_calibration_json
         from jaxpoint.io.depth_files import write_maps
+        from jaxpoint.io.exchange import read_calibration
         from jaxpoint.runs import new_run, provenance, write_json
 
         out, sources = self.needed_folder("undistorted"), open_board_sources(self.sources)

@@ -140,8 +140,8 @@ class InputSettings:
     timestamps: Path | None = None
     """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None
-    """Known lenses, with or without poses: a calibration.json or .toml, Kalibr's or OpenCV's .yaml, or a folder of
-    OpenCV's .yaml or of *.rad files; see `lens.known`."""
+    """Known lenses, with or without poses: a file or folder of any format that `jaxpoint convert --list` names, or a
+    folder of *.rad files; see `lens.known`."""
     intrinsics_by_order: bool = False
     """The known lenses are in the order of the cameras, whatever their names."""
     offset: tyro.conf.UseAppendAction[tuple[str, ...]] = ()

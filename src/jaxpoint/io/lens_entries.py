@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -15,26 +13,12 @@ from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.lenses import LENSES
 from jaxpoint.camera.rational import Rational
-from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.files import StrPath
 
 OPENCV_COUNTS = (0, 1, 2, 4, 5, 8, 12, 14)  # of coefficients that OpenCV writes of its pinhole cameras
 BROWN_COUNT, RATIONAL_COUNT = 5, 8
 FISHEYES = ("equidistant", "equi", "fisheye", "kannala_brandt", "kannalabrandt")
 CENTRAL = ("radtan", "plumb_bob", "brown", "none", "opencv", "pinhole", "rational_polynomial", "rational", "")
-
-
-@dataclass(frozen=True)
-class LensEntry:
-    """One camera's lens, wherever the camera stands."""
-
-    name: str
-    size: tuple[int, int]  # px, width and height
-    focal: tuple[float, float]  # px
-    center: tuple[float, float]  # px
-    model: type[AbstractLens]
-    distortion: tuple[float, ...]
 
 
 def model_of_name(where: str, name: str) -> type[AbstractLens] | None:
@@ -124,26 +108,3 @@ def common_model(
     raise FileFormatError(
         f"{where} mixes lens models that cannot be one rig yet ({names}); calibrate all its lenses with one model."
     )
-
-
-def rig_of_lenses(path: StrPath, lenses: Sequence[LensEntry]) -> CameraRig:
-    """The lenses as a rig whose poses are all the identity.
-
-    Raises:
-        FileFormatError: there is none, two have one name, or their models cannot be one rig.
-    """
-    names = tuple(lens.name for lens in lenses)
-    if not names or len(set(names)) != len(names):
-        raise FileFormatError(f"{path} holds the cameras {list(names)}; it needs one or more with different names.")
-    model, distortion = common_model(str(path), [lens.model for lens in lenses], [lens.distortion for lens in lenses])
-    with jax.enable_x64(True):
-        return CameraRig.from_parameters(
-            focal=np.array([lens.focal for lens in lenses]),
-            center=np.array([lens.center for lens in lenses]),
-            distortion=distortion,
-            rotation=np.tile(np.eye(3), (len(lenses), 1, 1)),
-            translation=np.zeros((len(lenses), 3)),
-            image_sizes=np.array([lens.size for lens in lenses]),
-            names=names,
-            lens=model,
-        )

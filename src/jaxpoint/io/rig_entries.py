@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import msgspec
@@ -16,7 +17,6 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
-from jaxpoint.geometry.pose import Similarity
 from jaxpoint.io.files import UNITS, StrPath
 from jaxpoint.io.lens_entries import common_model, model_of_name, read_coefficients
 
@@ -48,13 +48,27 @@ class SavedCalibration:
     provenance: dict[str, Any] = field(default_factory=dict)
     time_offsets: TimeOffsets | None = None
     in_room: bool = True  # False where the file says that its metres are of a frame of the solver's own
+    posed: bool = True  # False where the file holds lenses alone: the poses of the rig are the identity
+    notes: tuple[str, ...] = ()  # what a reader of the file must know, a sentence each
+
+    def entries(self) -> list[CameraEntry]:
+        """The cameras as plain numbers, without poses where there are none.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        cameras = entries_of(self.rig)
+        return cameras if self.posed else [without_pose(camera) for camera in cameras]
 
 
 def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
     """A calibration whose lengths are in `unit` (m, cm or mm), in metres."""
     with jax.enable_x64(True):
-        size = Similarity(np.asarray(1.0 / UNITS.get(unit, 1.0)), np.eye(3), np.zeros(3))
-        return replace(saved, rig=saved.rig.transformed(size), unit="m")
+        rig = saved.rig
+        metres = jnp.asarray(np.asarray(rig.cameras.cam_from_world.translation) / UNITS.get(unit, 1.0))
+        return replace(
+            saved, rig=eqx.tree_at(lambda rig: rig.cameras.cam_from_world.translation, rig, metres), unit="m"
+        )
 
 
 def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
@@ -67,7 +81,7 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
         return in_metres(saved, unit)
     if saved.unit == UNSTATED:
         raise UsageError(
-            f"'{path}' does not say its unit; give --unit mm, cm or m, or write unit = \"mm\" into its [metadata]."
+            f"'{path}' does not say its unit; give --unit mm, cm or m (a .toml may say unit = \"mm\" in [metadata])."
         )
     if saved.unit != "m":
         raise UsageError(
@@ -75,10 +89,15 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
         )
     if not saved.in_room:
         raise UsageError(
-            f"'{path}' has metres, but neither floor nor up (a target gave its scale); bring it into the room by "
-            "`jaxpoint align`."
+            f"'{path}' has metres, but neither floor nor up (a target gave its scale, or a camera its frame); bring "
+            "it into the room by `jaxpoint align`."
         )
     return saved
+
+
+def without_pose(camera: CameraEntry) -> CameraEntry:
+    """The lens of a camera alone."""
+    return msgspec.structs.replace(camera, rotation=None, translation=None)
 
 
 def tuples(values: np.ndarray) -> Any:

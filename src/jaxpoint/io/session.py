@@ -23,7 +23,7 @@ from jaxtyping import Float, Int, UInt8
 
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, InsufficientDataError, UsageError
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import read_calibration
 from jaxpoint.io.files import natural_key
 from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxpoint.errors import FileFormatError
-from jaxpoint.io.calibration import read_calibration
+from jaxpoint.io.exchange import is_calibration, read_calibration
 from jaxpoint.io.files import PIXEL_ALIASES, UNITS, Row, StrPath, read_table
 from jaxpoint.io.rig_entries import UNSTATED, needs_metres
 from jaxpoint.io.svoboda import read_matrix
@@ -90,8 +90,8 @@ def read_lengths(path: StrPath) -> Lengths:
 def read_camera_centres(path: StrPath, cameras: Sequence[str], unit: str | None = None) -> Landmarks:
     """Known places of the cameras, in metres, in the order of `cameras`.
 
-    From `landmarks.csv` with the cameras' names (some may be missing), from a calibration (`calibration.json`,
-    `calibration.toml`, `camera_array.toml`; names again), or from a matrix of text with one row a camera
+    From `landmarks.csv` with the cameras' names (some may be missing), from a calibration (of any exchange
+    format; names again), or from a matrix of text with one row a camera
     (`original_cam_centers.dat`, or a folder that holds it).
 
     Args:
@@ -103,7 +103,7 @@ def read_camera_centres(path: StrPath, cameras: Sequence[str], unit: str | None 
         FileFormatError: it is none of these, names no camera of the rig, or has not one row a camera.
     """
     path = Path(path)
-    if path.is_dir():
+    if path.is_dir() and (path / "original_cam_centers.dat").is_file():
         path = path / "original_cam_centers.dat"
     if path.suffix.lower() == ".dat":
         centres = read_matrix(path)
@@ -113,7 +113,7 @@ def read_camera_centres(path: StrPath, cameras: Sequence[str], unit: str | None 
                 "of three finite numbers."
             )
         return Landmarks(tuple(cameras), centres / UNITS.get(unit or "m", 1.0))
-    if path.suffix.lower() in (".csv", ".tsv", ".txt"):
+    if path.suffix.lower() in (".csv", ".tsv", ".txt") and not is_calibration(path):
         known = read_landmarks(path)
     else:
         saved = read_calibration(path)

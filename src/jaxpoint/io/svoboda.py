@@ -118,8 +118,8 @@ def read_matrix(path: StrPath) -> Float[np.ndarray, "rows columns"]:
             continue
         try:
             values = [float(token if token != "NA" else "nan") for token in line.replace(",", " ").split()]
-        except ValueError as error:
-            raise FileFormatError(f"{path}, line {number}: {error}; only numbers are expected.") from None
+        except ValueError:
+            raise FileFormatError(f"{path}, line {number}: '{line[:40]}' is not only numbers.") from None
         if values and rows and len(values) != len(rows[0]):
             raise FileFormatError(
                 f"{path}, line {number}: {len(values)} values where the lines before have {len(rows[0])}; "
@@ -159,7 +159,7 @@ def read_rad_folder(
     paths = sorted(Path(folder).glob("*.rad"), key=lambda path: natural_key(path.name))
     if len(paths) != len(sizes):
         raise FileFormatError(f"{folder} holds {len(paths)} .rad files for {len(sizes)} cameras; give one a camera.")
-    lenses = [_read_rad(path) for path in paths]
+    lenses = [read_rad(path) for path in paths]
     count = len(lenses)
     with jax.enable_x64(True):
         return CameraRig.from_parameters(
@@ -173,8 +173,12 @@ def read_rad_folder(
         )
 
 
-def _read_rad(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """K (3, 3) and distortion (5,) of one file."""
+def read_rad(path: Path) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "5"]]:
+    """K (px) and the distortion k1, k2, p1, p2, 0 of one `.rad` file.
+
+    Raises:
+        FileFormatError: a number is missing, or K is skewed.
+    """
     entries: dict[str, float] = {}
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         match = re.fullmatch(r"\s*(\w+)\s*=\s*(\S+?);?\s*", line)

@@ -20,8 +20,8 @@ from jaxtyping import Int
 
 from jaxpoint.calibration.stuck import refuse_stuck
 from jaxpoint.errors import FileFormatError, InsufficientDataError
-from jaxpoint.io.calibration import read_camera_array_sizes
 from jaxpoint.io.files import PIXEL_ALIASES, Row, StrPath, natural_key, read_header, read_table, replacing
+from jaxpoint.io.formats.caliscope_toml import read_camera_array_sizes
 from jaxpoint.io.svoboda import read_svoboda
 from jaxpoint.targets import Target
 from jaxpoint.tracks import PointPrior, Tracks
