@@ -67,7 +67,14 @@ class Calibrate(Options):
                 solved = with_covariance(calibrate(tracks, self.settings, intrinsics=intrinsics, progress=progress))
         room = replace(self.room, input=self.input, calibrate=self.settings, runtime=self.runtime)
         before = None if self.extend is None else self.extend / "calibration.json"
-        given = (self.tracks, self.input.timestamps, self.input.intrinsics, self.config, before)
+        given = (
+            self.tracks,
+            self.input.static_points,
+            self.input.timestamps,
+            self.input.intrinsics,
+            self.config,
+            before,
+        )
         sources = [path for path in given if path is not None]
         if is_from_boards(solved):
             from jaxpoint.calibration.covariance import with_board_covariance

@@ -29,12 +29,17 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
         UsageError: a camera named in the settings is not in the tracks, or its offset or rate cannot be used.
     """
     from jaxpoint.commands.given_clocks import on_given_clock, without_left_out
+    from jaxpoint.io.clicked_points import wand_tracks, with_static_points
     from jaxpoint.io.timestamps import read_timestamps, synchronise
     from jaxpoint.io.track_files import read_tracks
 
     tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
     if not tracks.frames:
         raise InsufficientDataError(f"'{path}' holds 0 frames; record the light and detect it first.")
+    if settings.wand_m is not None:
+        tracks = wand_tracks(tracks, settings.wand_m, path)
+    if settings.static_points is not None:
+        tracks = with_static_points(tracks, settings.static_points, settings.image_size)
     tracks = without_left_out(tracks, settings.leave_out)
     _check_inside(tracks, path)
     if settings.timestamps is not None:

@@ -137,6 +137,10 @@ class InputSettings:
     """The first pixel is (1, 1), as in files written by Matlab."""
     image_size: tuple[Count, Count] | None = None
     """Width and height in pixels of every camera, for files that do not say it."""
+    wand_m: Positive | None = None
+    """The two points of every frame (0 and 1) are the ends of a wand of this length, which gives metres."""
+    static_points: Path | None = None
+    """easyWand's background points, at rest and clicked in all cameras: they take part too."""
     timestamps: Path | None = None
     """timestamps.csv of caliscope: brings frames that each camera's file counts for itself to common moments."""
     intrinsics: Path | None = None

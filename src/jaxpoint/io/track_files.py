@@ -20,6 +20,7 @@ from jaxtyping import Int
 
 from jaxpoint.calibration.stuck import refuse_stuck
 from jaxpoint.errors import FileFormatError, InsufficientDataError
+from jaxpoint.io.clicked_points import is_clicked, read_clicked_points
 from jaxpoint.io.files import PIXEL_ALIASES, Row, StrPath, natural_key, read_header, read_table, replacing
 from jaxpoint.io.formats.caliscope_toml import read_camera_array_sizes
 from jaxpoint.io.svoboda import read_svoboda
@@ -50,6 +51,7 @@ def read_tracks(path: StrPath, *, one_based: bool = False, image_sizes: ImageSiz
     - a folder with `points.dat` (or that file itself): Svoboda's toolbox, see `read_svoboda`;
     - `.npz`: written by `save_tracks`;
     - `.csv` with a column `keypoint_id`: caliscope's corners, see `read_caliscope_corners`;
+    - `.csv` of DLTdv, Argus or easyWand: see `clicked_points`;
     - any other `.csv`: the long table of this module.
 
     Args:
@@ -82,6 +84,8 @@ def _read_any(path: Path, one_based: bool, image_sizes: ImageSizes | None) -> Tr
     if suffix in (".csv", ".tsv", ".txt"):
         if "keypoint_id" in read_header(path):
             return read_caliscope_corners(path, image_sizes)
+        if is_clicked(path):
+            return read_clicked_points(path, image_sizes if isinstance(image_sizes, tuple) else None)
         return read_long_csv(path, one_based, image_sizes)
     if not path.exists():
         raise FileFormatError(f"There is no file or folder {path}; check the path.")
