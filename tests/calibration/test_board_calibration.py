@@ -175,6 +175,23 @@ def test_cameras_that_share_no_board_are_named(pair):
         calibrate_boards(apart)
 
 
+@pytest.mark.parametrize("most", [False, True])
+def test_a_board_that_one_camera_counts_from_its_other_end_is_turned_back(pair, both, most):
+    """As of a board with two even sides, which looks the same turned by 180 degrees."""
+    pixels = pair.pixels.copy()
+    frames = np.unique(pair.frame_ids)
+    for frame in frames[:-3] if most else frames[::4]:
+        rows = np.flatnonzero(pair.frame_ids == frame)
+        rows = rows[np.argsort(pair.point_ids[rows])]
+        pixels[rows, 1] = pair.pixels[rows[::-1], 1]
+    found = calibrate_boards(replace(pair, pixels=pixels))
+    assert found.kept.all()
+    np.testing.assert_allclose(np.asarray(found.rig.matrices)[0], np.asarray(both.rig.matrices)[0], atol=1e-3)
+    turn, shift = relative(found)
+    np.testing.assert_allclose(shift, relative(both)[1], atol=1e-6)
+    np.testing.assert_allclose(turn, relative(both)[0], atol=1e-6)
+
+
 def test_zhang_and_the_search_find_the_focal_length_of_a_perfect_camera():
     rng = np.random.default_rng(1)
     board, size = Target.chessboard(9, 6, 0.03).points, np.array([1280.0, 720.0])
