@@ -175,6 +175,22 @@ def test_cameras_that_share_no_board_are_named(pair):
         calibrate_boards(apart)
 
 
+@pytest.mark.parametrize("size", [1.0, 1.02])
+def test_a_board_of_another_size_than_stated_is_told_by_a_second_target(pair, both, size):
+    rng, other = np.random.default_rng(6), Target.chessboard(4, 3, 0.04, name="other")
+    shown = []
+    for turn in Rotation.from_rotvec(rng.normal(0, 0.4, (8, 3))).as_matrix():
+        local = size * (other.points - other.points.mean(0)) @ turn.T + [*rng.uniform(-0.05, 0.05, 2), 0.45]
+        shown.append(np.asarray(both.rig.project(local)) + rng.normal(0, 0.1, (12, 2, 2)))
+    second = Tracks.from_pixels(
+        np.concatenate(shown), pair.image_sizes, names=pair.names, frame_ids=np.repeat(np.arange(8), 12) + 50,
+        point_ids=np.tile(np.arange(12), 8), target=other,
+    )  # fmt: skip
+    found = calibrate_boards(join_tracks(pair, second))
+    said = [item for item in found.findings if item.cause == "target size"]
+    assert bool(said) == (size != 1.0)
+
+
 @pytest.mark.parametrize("most", [False, True])
 def test_a_board_that_one_camera_counts_from_its_other_end_is_turned_back(pair, both, most):
     """As of a board with two even sides, which looks the same turned by 180 degrees."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.board_chain import chain_cameras, target_poses
+from jaxpoint.calibration.board_sizes import size_findings
 from jaxpoint.calibration.board_turns import turn_tracks, turn_views, views_turned
 from jaxpoint.calibration.board_views import BoardViews, is_flat, lens_of, solve_views, starts_of, widest_angle
 from jaxpoint.calibration.lens_start import LensStart
@@ -117,7 +118,13 @@ class _Solver:
         settings = replace(self.settings, outliers=self._outliers)
         found = assemble_calibration(self.tracks, self.recording, best.settled, freedom, settings, pairs)
         found = in_camera_frame(found)
-        return replace(found, stages=stages, seconds={"adjust": clock[1] - clock[0], "total": clock[1] - clock[0]})
+        findings = size_findings(found, self.recording)
+        return replace(
+            found,
+            stages=stages,
+            findings=findings,
+            seconds={"adjust": clock[1] - clock[0], "total": clock[1] - clock[0]},
+        )
 
     def _starts(self) -> list[list[LensStart]] | None:
         """First lenses of each camera, where they are not known."""

@@ -97,7 +97,7 @@ def pose_distances(turn: Float[np.ndarray, "M 3 3"], shift: Float[np.ndarray, "M
 
 def target_poses(
     views: Sequence[BoardViews], rotation: Float[np.ndarray, "C 3 3"], translation: Float[np.ndarray, "C 3"]
-) -> tuple[Float[np.ndarray, "M 12"], ...]:
+) -> tuple[Float[np.ndarray, "_ 12"], ...]:
     """world_from_target of each target, by the camera that saw most of its points; NaN where none saw enough."""
     found = []
     for number in range(len(views[0].poses)):

@@ -31,7 +31,7 @@ def turned_points(target: Target) -> Int[np.ndarray, " K"] | None:
     return nearest if apart.min(axis=0).max() < SAME * np.ptp(shape) else None
 
 
-def views_turned(views: Sequence[BoardViews], targets: Sequence[TargetRows]) -> list[Bool[np.ndarray, "C M"]]:
+def views_turned(views: Sequence[BoardViews], targets: Sequence[TargetRows]) -> list[Bool[np.ndarray, "C _"]]:
     """Of each target the views, camera by camera, that count it from its other end; the first camera is right."""
     count = len(views)
     turned = [np.zeros((count, len(owned.rows)), bool) for owned in targets]
@@ -88,7 +88,7 @@ def _with_turned(view: BoardViews, number: int, turned: Bool[np.ndarray, " M"]) 
     return replace(view, poses=tuple(poses))
 
 
-def turn_views(views: Sequence[BoardViews], turned: Sequence[Bool[np.ndarray, "C M"]]) -> list[BoardViews]:
+def turn_views(views: Sequence[BoardViews], turned: Sequence[Bool[np.ndarray, "C _"]]) -> list[BoardViews]:
     """The views with all of these turned."""
     found = list(views)
     for number, own in enumerate(turned):
@@ -96,7 +96,7 @@ def turn_views(views: Sequence[BoardViews], turned: Sequence[Bool[np.ndarray, "C
     return found
 
 
-def turn_tracks(tracks: Tracks, turned: Sequence[Bool[np.ndarray, "C M"]]) -> Tracks:
+def turn_tracks(tracks: Tracks, turned: Sequence[Bool[np.ndarray, "C _"]]) -> Tracks:
     """The tracks with the corners of these views counted from the other end."""
     pixels, visible = tracks.pixels.copy(), tracks.visible.copy()
     for number, own in enumerate(turned):
