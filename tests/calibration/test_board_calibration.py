@@ -133,6 +133,20 @@ def test_a_corner_that_is_wrong_and_a_view_that_is_poor_are_found_out(pair, left
     assert "frame 4" in next(item for item in quality.findings if item.cause == "poor views").finding
 
 
+def test_one_view_many_times_is_one_view(pair):
+    """Six copies of an image fit, and their noise averages out; they tell no more than one."""
+    rows = np.flatnonzero(pair.frame_ids == 1)
+    rng, alone = np.random.default_rng(2), pair.select_cameras([0])
+    pixels = np.concatenate([alone.pixels[rows] + rng.normal(0, 0.05, (len(rows), 1, 2)) for _ in range(6)])
+    same = Tracks.from_pixels(
+        pixels, alone.image_sizes, names=alone.names, frame_ids=np.repeat(np.arange(6), len(rows)),
+        point_ids=np.tile(alone.point_ids[rows], 6), target=alone.targets[0],
+    )  # fmt: skip
+    quality = assess_boards(with_board_covariance(calibrate_boards(same)))
+    assert not quality.passed
+    assert "6 views of 1 different poses" in str(quality.failure)
+
+
 def test_where_the_lens_is_known_worst(left):
     found = lens_sigma_map(left, 0)
     middle, corner = found[5:7, 7:9].mean(), found[-1, 0]
