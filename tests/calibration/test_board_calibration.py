@@ -133,6 +133,20 @@ def test_a_corner_that_is_wrong_and_a_view_that_is_poor_are_found_out(pair, left
     assert "frame 4" in next(item for item in quality.findings if item.cause == "poor views").finding
 
 
+def test_one_view_many_times_is_one_view(pair):
+    """Six copies of an image fit, and their noise averages out; they tell no more than one."""
+    rows = np.flatnonzero(pair.frame_ids == 1)
+    rng, alone = np.random.default_rng(2), pair.select_cameras([0])
+    pixels = np.concatenate([alone.pixels[rows] + rng.normal(0, 0.05, (len(rows), 1, 2)) for _ in range(6)])
+    same = Tracks.from_pixels(
+        pixels, alone.image_sizes, names=alone.names, frame_ids=np.repeat(np.arange(6), len(rows)),
+        point_ids=np.tile(alone.point_ids[rows], 6), target=alone.targets[0],
+    )  # fmt: skip
+    quality = assess_boards(with_board_covariance(calibrate_boards(same)))
+    assert not quality.passed
+    assert "6 views of 1 different poses" in str(quality.failure)
+
+
 def test_where_the_lens_is_known_worst(left):
     found = lens_sigma_map(left, 0)
     middle, corner = found[5:7, 7:9].mean(), found[-1, 0]
@@ -173,6 +187,39 @@ def test_cameras_that_share_no_board_are_named(pair):
     apart = replace(pair, visible=visible, pixels=np.where(visible[..., None], pair.pixels, 0.0))
     with pytest.raises(InsufficientDataError, match=r"'right' saw the board together with the others in 0 frames"):
         calibrate_boards(apart)
+
+
+@pytest.mark.parametrize("size", [1.0, 1.02])
+def test_a_board_of_another_size_than_stated_is_told_by_a_second_target(pair, both, size):
+    rng, other = np.random.default_rng(6), Target.chessboard(4, 3, 0.04, name="other")
+    shown = []
+    for turn in Rotation.from_rotvec(rng.normal(0, 0.4, (8, 3))).as_matrix():
+        local = size * (other.points - other.points.mean(0)) @ turn.T + [*rng.uniform(-0.05, 0.05, 2), 0.45]
+        shown.append(np.asarray(both.rig.project(local)) + rng.normal(0, 0.1, (12, 2, 2)))
+    second = Tracks.from_pixels(
+        np.concatenate(shown), pair.image_sizes, names=pair.names, frame_ids=np.repeat(np.arange(8), 12) + 50,
+        point_ids=np.tile(np.arange(12), 8), target=other,
+    )  # fmt: skip
+    found = calibrate_boards(join_tracks(pair, second))
+    said = [item for item in found.findings if item.cause == "target size"]
+    assert bool(said) == (size != 1.0)
+
+
+@pytest.mark.parametrize("most", [False, True])
+def test_a_board_that_one_camera_counts_from_its_other_end_is_turned_back(pair, both, most):
+    """As of a board with two even sides, which looks the same turned by 180 degrees."""
+    pixels = pair.pixels.copy()
+    frames = np.unique(pair.frame_ids)
+    for frame in frames[:-3] if most else frames[::4]:
+        rows = np.flatnonzero(pair.frame_ids == frame)
+        rows = rows[np.argsort(pair.point_ids[rows])]
+        pixels[rows, 1] = pair.pixels[rows[::-1], 1]
+    found = calibrate_boards(replace(pair, pixels=pixels))
+    assert found.kept.all()
+    np.testing.assert_allclose(np.asarray(found.rig.matrices)[0], np.asarray(both.rig.matrices)[0], atol=1e-3)
+    turn, shift = relative(found)
+    np.testing.assert_allclose(shift, relative(both)[1], atol=1e-6)
+    np.testing.assert_allclose(turn, relative(both)[0], atol=1e-6)
 
 
 def test_zhang_and_the_search_find_the_focal_length_of_a_perfect_camera():

@@ -31,9 +31,11 @@ def test_fewer_pixels_are_bad_than_by_plain_matching(aloe):
     (plain_bad, plain_known), (checked_bad, checked_known) = bad(plain, truth), bad(checked, truth)
     assert checked_bad <= plain_bad < 0.06
     assert checked_bad < 0.8 * plain_bad
-    assert checked_known > 0.97 * plain_known
-    both = np.isfinite(checked)
-    np.testing.assert_array_equal(checked[both], plain[both])  # nothing is invented
+    assert checked_known > 1.15 * plain_known
+    beside = SETTINGS.disparities  # columns for which OpenCV leaves disparities out
+    at_left, known = bad(checked[:, :beside], truth[:, :beside])
+    assert at_left < 0.02
+    assert known > 0.6
 
 
 def test_the_number_of_disparities_is_a_multiple_of_16():

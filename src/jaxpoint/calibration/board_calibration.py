@@ -15,6 +15,8 @@ import numpy as np
 
 from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.board_chain import chain_cameras, target_poses
+from jaxpoint.calibration.board_sizes import size_findings
+from jaxpoint.calibration.board_turns import turn_tracks, turn_views, views_turned
 from jaxpoint.calibration.board_views import BoardViews, is_flat, lens_of, solve_views, starts_of, widest_angle
 from jaxpoint.calibration.lens_start import LensStart
 from jaxpoint.calibration.objective import Solution, better_by
@@ -116,7 +118,13 @@ class _Solver:
         settings = replace(self.settings, outliers=self._outliers)
         found = assemble_calibration(self.tracks, self.recording, best.settled, freedom, settings, pairs)
         found = in_camera_frame(found)
-        return replace(found, stages=stages, seconds={"adjust": clock[1] - clock[0], "total": clock[1] - clock[0]})
+        findings = size_findings(found, self.recording)
+        return replace(
+            found,
+            stages=stages,
+            findings=findings,
+            seconds={"adjust": clock[1] - clock[0], "total": clock[1] - clock[0]},
+        )
 
     def _starts(self) -> list[list[LensStart]] | None:
         """First lenses of each camera, where they are not known."""
@@ -141,7 +149,7 @@ class _Solver:
         model, _ = lens_of_choice(choice)
         freedom = board_freedom(self.recording, self.settings, choice, self.intrinsics)
         views = [self._alone(camera, model, freedom, starts) for camera in range(self.tracks.cameras)]
-        names = self.tracks.names
+        names, views = self.tracks.names, self._counted_alike(views)
         rotation, translation = chain_cameras(views, names)
         state = self._state(model, views, rotation, translation)
         self.progress("all together", 0, 1)
@@ -150,6 +158,14 @@ class _Solver:
         self.progress("all together", 1, 1)
         figures = {name: [round(float(value), 4) for value in lens_of(view)] for name, view in zip(names, views)}
         return Solution(settled, freedom), (Stage(ALONE, figures),)
+
+    def _counted_alike(self, views: list[BoardViews]) -> list[BoardViews]:
+        """The views with every symmetric board counted from the same end by all cameras; so are the tracks then."""
+        turned = views_turned(views, self.recording.targets)
+        if any(own.any() for own in turned):
+            self.tracks = turn_tracks(self.tracks, turned)
+            self.recording = Recording.of(self.tracks)
+        return turn_views(views, turned)
 
     def _finished(self, settled: Settled, freedom: Freedom) -> Settled:
         """The inliers at their very optimum: judging them leaves poses where a robust loss has them."""

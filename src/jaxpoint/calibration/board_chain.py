@@ -65,21 +65,29 @@ def link_of(views: Sequence[BoardViews], first: int, second: int) -> Link | None
     turns, shifts = [], []
     for one, other in zip(views[first].poses, views[second].poses):
         both = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
-        left, right = one[both, :9].reshape(-1, 3, 3), other[both, :9].reshape(-1, 3, 3)
-        turn = right @ np.swapaxes(left, 1, 2)
+        turn, shift = relative_poses(one[both], other[both])
         turns.append(turn)
-        shifts.append(other[both, 9:] - np.einsum("mij,mj->mi", turn, one[both, 9:]))
+        shifts.append(shift)
     turn, shift = np.concatenate(turns), np.concatenate(shifts)
     if not len(turn):
         return None
-    apart = _distances(turn, shift)
+    apart = pose_distances(turn, shift)
     medoid = int(np.median(apart, axis=1).argmin())
     near = apart[medoid] <= NEAR * max(np.median(apart[medoid]), 1e-9)
     mean = Rotation.from_matrix(turn[near]).mean().as_matrix()
     return Link(first, second, mean, shift[near].mean(axis=0), int(near.sum()))
 
 
-def _distances(turn: Float[np.ndarray, "M 3 3"], shift: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M M"]:
+def relative_poses(
+    one: Float[np.ndarray, "M 12"], other: Float[np.ndarray, "M 12"]
+) -> tuple[Float[np.ndarray, "M 3 3"], Float[np.ndarray, "M 3"]]:
+    """Of the second camera against the first, from each view's poses of the target in both."""
+    left, right = one[:, :9].reshape(-1, 3, 3), other[:, :9].reshape(-1, 3, 3)
+    turn = right @ np.swapaxes(left, 1, 2)
+    return turn, other[:, 9:] - np.einsum("mij,mj->mi", turn, one[:, 9:])
+
+
+def pose_distances(turn: Float[np.ndarray, "M 3 3"], shift: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M M"]:
     """Between relative poses: angle (rad), and translation over its typical length."""
     trace = np.einsum("aij,bij->ab", turn, turn)
     angle = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
@@ -89,7 +97,7 @@ def _distances(turn: Float[np.ndarray, "M 3 3"], shift: Float[np.ndarray, "M 3"]
 
 def target_poses(
     views: Sequence[BoardViews], rotation: Float[np.ndarray, "C 3 3"], translation: Float[np.ndarray, "C 3"]
-) -> tuple[Float[np.ndarray, "M 12"], ...]:
+) -> tuple[Float[np.ndarray, "_ 12"], ...]:
     """world_from_target of each target, by the camera that saw most of its points; NaN where none saw enough."""
     found = []
     for number in range(len(views[0].poses)):

@@ -14,6 +14,7 @@ from jaxpoint.camera.camera import POSE_NAMES
 POOR, POOR_PX = 2.5, 0.3  # times the median rms of the camera's views, and at least so much: a view to look at
 LOST = 0.3  # of a view's corners rejected
 BEYOND = 1.25  # of the farthest corner's distance from the principal point: places to hold the board next
+APART = 0.01  # of the image's width: boards nearer to each other than this are one view twice
 GRID = (16, 12)  # places of the image at which the lens's uncertainty is asked
 
 
@@ -71,6 +72,29 @@ def _fit(calibration: Calibration, rows: np.ndarray, camera: int, local: np.ndar
         "distance_m": float(np.linalg.norm(middle)),
         "middle_px": (float(x), float(y)),
     }
+
+
+def different_views(calibration: Calibration, camera: int) -> int:
+    """How many views of a camera show the board elsewhere than those counted before: one held still is one view."""
+    tracks, chosen = calibration.tracks, []
+    apart = APART * float(tracks.image_sizes[camera, 0])
+    for number in range(len(tracks.targets)):
+        seen = []
+        for rows in tracks.rows_of_target(number, calibration.point_valid):
+            shown = (rows >= 0) & tracks.visible[rows, camera]
+            if shown.any():
+                pixels = np.where(shown[:, None], tracks.pixels[rows, camera], np.nan)
+                if all(_apart(pixels, other) > apart for other in seen):
+                    seen.append(pixels)
+        chosen += seen
+    return len(chosen)
+
+
+def _apart(one: Float[np.ndarray, "K 2"], other: Float[np.ndarray, "K 2"]) -> float:
+    """Rms distance of the corners that both show; infinite without any."""
+    square = ((one - other) ** 2).sum(axis=1)
+    known = np.isfinite(square)
+    return float(np.sqrt(square[known].mean())) if known.any() else float("inf")
 
 
 def lens_sigma_map(calibration: Calibration, camera: int) -> Float[np.ndarray, "H W"] | None:

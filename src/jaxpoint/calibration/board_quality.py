@@ -6,13 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from jaxpoint.calibration.board_figures import ViewFit, view_fits, where_next
+from jaxpoint.calibration.board_figures import ViewFit, different_views, view_fits, where_next
 from jaxpoint.calibration.pair_poses import pair_scatter
 from jaxpoint.calibration.quality import SOLVER, GateCheck, Quality
 from jaxpoint.calibration.result import Calibration, Finding, Level
 from jaxpoint.camera.camera import POSE_NAMES
 from jaxpoint.config import CalibrateSettings
 
+FEWEST_VIEWS = 3  # different ones that a lens takes
 FEW_VIEWS, COVERED = 8, 0.6  # views of a camera, and share of its image's cells: with less it deserves a look
 TILTED = 15.0  # degrees: boards that are all seen more frontally do not tell a focal length
 LOOSE = 0.2  # of the largest focal sigma that is allowed: from here on worth a word
@@ -114,16 +115,17 @@ def _lenses(calibration: Calibration, settings: CalibrateSettings, views: list[V
 
 def _coverage(calibration: Calibration, views: list[ViewFit]) -> Iterator[Finding]:
     for camera, name in enumerate(calibration.rig.names):
-        count = sum(view.camera == camera for view in views)
+        count, places = sum(view.camera == camera for view in views), different_views(calibration, camera)
         share = float(calibration.pairs.coverage[camera])
-        if count >= FEW_VIEWS and share >= COVERED:
+        if places >= FEW_VIEWS and share >= COVERED:
             continue
+        level: Level = "bad" if places < FEWEST_VIEWS else "care"
         place = where_next(calibration, camera)
         there = "in the parts without corners" if place is None else f"in the {place[1]} of the image"
         yield Finding(
             "coverage",
-            "care",
-            f"Camera {name} has {count} views, with corners in {share:.0%} of its image.",
+            level,
+            f"Camera {name} has {count} views of {places} different poses, with corners in {share:.0%} of its image.",
             f"Hold the board next {there}, tilted",
             (name,),
         )

@@ -30,7 +30,7 @@ class BoardViews:
     """A camera's lens and what it saw, each target in the camera's own frame."""
 
     lens: Float[np.ndarray, " q"]  # adjusted parameters from log focal onwards
-    poses: tuple[Float[np.ndarray, "M 12"], ...]  # cam_from_target of each target; NaN where it was not seen
+    poses: tuple[Float[np.ndarray, "_ 12"], ...]  # cam_from_target of each target; NaN where it was not seen
     corners: tuple[np.ndarray, ...]  # (M,) how many of its points were seen
     cost: float  # px^2, robust
 

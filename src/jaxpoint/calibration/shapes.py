@@ -130,10 +130,10 @@ def _scale(recording: Recording, state: RigState, sizes: list[np.ndarray]) -> tu
     targets = tuple(
         owned if known else owned.scaled(float(ratio)) for owned, known, ratio in zip(recording.targets, stated, ratios)
     )
-    return state, replace(recording, targets=targets), _contradictions(recording, ratios, sizes)
+    return state, replace(recording, targets=targets), size_contradictions(recording, ratios, sizes)
 
 
-def _contradictions(recording: Recording, ratios: np.ndarray, sizes: list[np.ndarray]) -> list[Finding]:
+def size_contradictions(recording: Recording, ratios: np.ndarray, sizes: list[np.ndarray]) -> list[Finding]:
     """Sizes that another scale contradicts: another target, or the known points."""
     findings = []
     for owned, ratio, found in zip(recording.targets, ratios, sizes):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -25,11 +27,15 @@ def disparity_of(
     """Disparities of the left image that the right image's do not deny, px; NaN in holes.
 
     What one image shows and the other does not (occlusions) is matched to something all the same; the right image's
-    own disparities do not come back to it.
+    own disparities do not come back to it. OpenCV leaves out the columns at the left for which the largest disparity
+    ends outside; the images are widened, so that far things are matched there too.
     """
-    found = sgbm_disparity(left, right, settings)
+    wide = disparities_of(left.shape[1], settings)
+    wider = replace(settings, disparities=wide)
+    left, right = (cv2.copyMakeBorder(one, 0, 0, wide, wide, cv2.BORDER_REPLICATE) for one in (left, right))
+    found = sgbm_disparity(left, right, wider)[:, wide:-wide]
     flipped_right, flipped_left = (np.ascontiguousarray(image[:, ::-1]) for image in (right, left))
-    back = sgbm_disparity(flipped_right, flipped_left, settings)[:, ::-1]
+    back = sgbm_disparity(flipped_right, flipped_left, wider)[:, ::-1][:, wide:-wide]
     rows, columns = np.indices(found.shape)
     there = np.rint(columns - np.nan_to_num(found)).astype(int)
     inside = there >= 0

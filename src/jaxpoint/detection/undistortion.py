@@ -14,6 +14,7 @@ from jaxtyping import Float
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.rectification import flat_focal
 from jaxpoint.camera.remap import undistortion_map
+from jaxpoint.io.depth_files import write_image
 from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.images import ImageFolder
 
@@ -54,11 +55,13 @@ def write_undistorted(source: FrameSource, undistortion: Undistortion, place: Pa
     if isinstance(source, ImageFolder):
         place.mkdir(parents=True)
         for index, image in frames:
-            cv2.imwrite(str(place / f"{source.files[index].stem}.png"), image)
+            write_image(place / f"{source.files[index].stem}.png", image)
         return place
     path = place.with_suffix(".mp4")
     rate = 30.0 if source.times is None or len(source.times) < 2 else 1.0 / float(np.median(np.diff(source.times)))
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), rate, source.size)
+    if not writer.isOpened():
+        raise OSError(f"No video of {source.size[0]} x {source.size[1]} px can be written as '{path.name}'")
     try:
         for _, image in frames:
             writer.write(image)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -155,21 +155,13 @@ def notes_of(detection: BoardDetection) -> tuple[str, ...]:
             )
     if detection.board.ambiguous and len(detection.names) > 1:
         notes.append(
-            f"The board {detection.board.spec} looks the same turned by 180 degrees: never turn it by more than 90 "
-            "degrees against a camera, or take one with an odd and an even side."
+            f"The board {detection.board.spec} looks the same turned by 180 degrees, and only all views together tell "
+            "which end is which; a board with an odd and an even side leaves no doubt."
         )
     return tuple(notes)
 
 
-Count = dict[str, int]
-
-
-def counts_of(detection: BoardDetection, camera: int) -> Count:
+def counts_of(detection: BoardDetection, camera: int) -> dict[str, int]:
     """How often each reason occurred in one camera, without zeros."""
     found = np.bincount(detection.reasons[:, camera], minlength=len(BoardReason))
     return {reason.name.lower(): int(found[reason]) for reason in BoardReason if found[reason]}
-
-
-def names_in_words(names: Sequence[str]) -> str:
-    """a, b and c."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
