@@ -159,10 +159,6 @@ def _drawn(calibration: Calibration, views: list[ViewFit], names: tuple[str, ...
         scatters = pair_scatter(calibration)
         if scatters:
             drawn["pairs"] = figures_boards.pair_shifts(scatters, names)
-        if len(names) == 1:  # as wide as one of two
-            for one in ("coverage", "field"):
-                width, height = drawn[one].get_size_inches()
-                drawn[one].set_size_inches(0.62 * width, 0.62 * height)
         made = {name: Markup(to_svg(figure)) for name, figure in drawn.items()}
     return {"certainty": None, "pairs": None, **made}
 

@@ -56,8 +56,6 @@ def lens_certainty(calibration: Calibration, names: Sequence[str]) -> Figure:
     typical = [np.nan if one is None or not np.isfinite(one).any() else float(np.nanmedian(one)) for one in maps]
     titles = [f"{name}: {value:.2f} px in the middle of all places" for name, value in zip(names, typical)]
     figure, axes = small_multiples(titles, sizes, columns=2 if len(names) > 1 else 1, ticks=False)
-    if len(names) == 1:
-        figure.set_size_inches(PAGE * 0.62, figure.get_size_inches()[1] * 0.62)
     for camera, ax in enumerate(axes):
         _certainty(calibration, camera, maps[camera], ax)
     return figure

@@ -93,6 +93,9 @@ def short_names(names: Sequence[str], length: int = 14) -> tuple[str, ...]:
     return tuple(cut) if len(set(cut)) == len(cut) else tuple(names)
 
 
+ALONE = 0.62  # of the page's width: a single camera's picture
+
+
 def small_multiples(
     titles: Sequence[str], sizes: np.ndarray, columns: int = 0, ticks: bool = True
 ) -> tuple[Figure, list[Axes]]:
@@ -106,16 +109,17 @@ def small_multiples(
     rows = -(-cameras // columns)
     # Placed by hand, in inches: an automatic layout takes longer than the drawing.
     left, right, above, below = (0.42, 0.08, 0.3, 0.26) if ticks else (0.06, 0.06, 0.26, 0.04)
-    width = PAGE / columns - left - right
+    page = PAGE if cameras > 1 else ALONE * PAGE
+    width = page / columns - left - right
     height = width * float(np.max(sizes[:, 1] / sizes[:, 0]))
     tall = rows * (above + height + below)
-    figure = Figure(figsize=(PAGE, tall))
+    figure = Figure(figsize=(page, tall))
     axes = []
     for index in range(cameras):
         row, column = divmod(index, columns)
         x = column * (left + width + right) + left
         y = tall - row * (above + height + below) - above - height
-        axes.append(figure.add_axes((x / PAGE, y / tall, width / PAGE, height / tall)))
+        axes.append(figure.add_axes((x / page, y / tall, width / page, height / tall)))
     for ax, title, (w, h) in zip(axes, titles, sizes, strict=True):
         ax.set(xlim=(-0.5, w - 0.5), ylim=(h - 0.5, -0.5), aspect="equal")
         ax.grid(False)
