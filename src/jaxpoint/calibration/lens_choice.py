@@ -12,6 +12,7 @@ from jaxpoint.calibration.outliers import GROWING_PX, Settled, classify_observat
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust, place_points, priors, project
 from jaxpoint.calibration.result import Stage
 from jaxpoint.camera.conversion import convert
+from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.lenses import lens_of_choice
 from jaxpoint.camera.parameters import COEFFICIENTS, FOCAL, chosen_coefficients, lens_parameters
 from jaxpoint.config import CalibrateSettings
@@ -94,10 +95,48 @@ def fisheye_freedom(recording: Recording, freedom: Freedom, settings: CalibrateS
     return Freedom(free, mean, weight)
 
 
+def first_lens_again(
+    recording: Recording, first: Solution, chosen: Solution, settings: CalibrateSettings
+) -> tuple[Solution, Stage]:
+    """Back to the lens model of `first` where it now explains as much, priors having been given up since.
+
+    Pixels that are not square bend an image as another lens would: what was chosen to explain them is asked again.
+
+    Args:
+        first: before another lens was chosen.
+        chosen: with that lens, and without the priors that the recording refutes.
+    """
+    common = slice(0, COEFFICIENTS.start)
+    parts = [part.copy() for part in (first.freedom.free, first.freedom.prior_mean, first.freedom.prior_weight)]
+    now = chosen.freedom.free, chosen.freedom.prior_mean, chosen.freedom.prior_weight
+    for part, own in zip(parts, now):
+        part[:, common] = own[:, common]
+    freedom = Freedom(parts[0], parts[1], parts[2])
+    state = with_lens(
+        recording, chosen.state, first.state.lens, freedom.free[recording.exists, COEFFICIENTS].any(axis=0)
+    )
+    trial = solve_with(recording, state, freedom, settings.outliers)
+    fewer = int(chosen.freedom.free.sum()) - int(freedom.free.sum())
+    gain = better_by(trial, chosen)
+    back = gain > -WORTH * max(fewer, 1)
+    figures = {"chosen": "the first again" if back else "as before", "fall_of_the_objective": float(gain)}
+    return (trial if back else chosen), Stage("Lenses after the priors", figures)
+
+
 def as_fisheye(recording: Recording, state: RigState) -> RigState:
     """The rig with fisheye lenses that see each camera's observations where its lens sees them."""
     model, names = lens_of_choice(FISHEYE)
-    free = chosen_coefficients(model, names)
+    return with_lens(recording, state, model, chosen_coefficients(model, names))
+
+
+def with_lens(
+    recording: Recording, state: RigState, model: type[AbstractLens], free: Bool[np.ndarray, " k"]
+) -> RigState:
+    """The rig with lenses of another model, that see each camera's observations where its lens sees them.
+
+    Args:
+        free: the coefficients of the model that may take part; the others are zero.
+    """
     cameras = np.zeros((len(state.cameras), COEFFICIENTS.start + len(free)))
     cameras[:, : COEFFICIENTS.start] = state.cameras[:, : COEFFICIENTS.start]
     for camera in range(recording.cameras):

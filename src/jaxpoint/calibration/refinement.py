@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.hypotheses import Lenses
 from jaxpoint.calibration.known_lenses import lens_test, refuted_lenses, unknown_again
-from jaxpoint.calibration.lens_choice import choose_lens
+from jaxpoint.calibration.lens_choice import choose_lens, first_lens_again
 from jaxpoint.calibration.normal import normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
 from jaxpoint.calibration.offsets import InStep, brought_in_step
@@ -81,9 +81,14 @@ class Refinement:
 
     def run(self, solution: Solution) -> Solution:
         """Lens terms, then priors in doubt; where one was given up, the lens terms once more."""
-        solution = self._lens(solution)
+        first, solution = solution, self._lens(solution)
         chosen = self._priors(solution)
-        return solution if chosen is solution else self._lens(self._in_step_again(chosen))
+        if chosen is solution:
+            return solution
+        if chosen.state.lens is not first.state.lens:
+            chosen, stage = first_lens_again(self.recording, first, chosen, self.settings)
+            self.stages.append(stage)
+        return self._lens(self._in_step_again(chosen))
 
     def in_step(self, solution: Solution, offsets: Float[np.ndarray, " C"]) -> Solution:
         """The solution with the cameras brought to one clock."""
