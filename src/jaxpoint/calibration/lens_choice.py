@@ -112,9 +112,8 @@ def first_lens_again(
     for part, own in zip(parts, now):
         part[:, common] = own[:, common]
     freedom = Freedom(parts[0], parts[1], parts[2])
-    state = with_lens(
-        recording, chosen.state, first.state.lens, freedom.free[recording.exists, COEFFICIENTS].any(axis=0)
-    )
+    used = np.asarray(np.any(freedom.free[recording.exists, COEFFICIENTS], axis=0))
+    state = with_lens(recording, chosen.state, first.state.lens, used)
     trial = solve_with(recording, state, freedom, settings.outliers)
     fewer = int(chosen.freedom.free.sum()) - int(freedom.free.sum())
     gain = better_by(trial, chosen)
