@@ -89,11 +89,11 @@ def test_arctic4_is_better_than_published(data_folder, arctic):
 
 
 NUMBERS = 14  # of a camera below: rotation vector, translation, log focal, centre, k1, k2, p1, p2, k3
-PRIOR_SIGMA = np.array([0.05 * 640, 0.05 * 640, 1.0, 1.0, 0.005, 0.005, 1.0])  # as the settings and SPEC 2.6 have them
+PRIOR_SIGMA = np.array([0.05 * 640, 0.05 * 640, 1.0, 1.0, 0.005, 0.005, 1.0])  # as the settings have them
 
 
 def projected(cameras, points):
-    """Pixels of points by SPEC 0, one camera (N, NUMBERS) for each point (N, 3)."""
+    """Pixels of points by the formulas of the conventions, one camera (N, NUMBERS) for each point (N, 3)."""
     local = np.einsum("nij,nj->ni", Rotation.from_rotvec(cameras[:, :3]).as_matrix(), points) + cameras[:, 3:6]
     x, y = (local[:, :2] / local[:, 2:]).T
     log_focal, cx, cy, k1, k2, p1, p2, k3 = cameras[:, 6:].T

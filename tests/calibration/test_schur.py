@@ -27,7 +27,7 @@ LOSS = 2.0  # px
 
 
 def predicted(cameras, base, points):
-    """Pixels (F, C, 2) by the definition of the model, written anew in numpy (SPEC 0)."""
+    """Pixels (F, C, 2) by the definition of the model, written anew in numpy (docs, "conventions")."""
     turned = Rotation.from_rotvec(cameras[:, :3]).as_matrix() @ base
     local = np.einsum("cij,fj->fci", turned, points) + cameras[:, 3:6]
     x, y = np.moveaxis(local[..., :2] / local[..., 2:], -1, 0)

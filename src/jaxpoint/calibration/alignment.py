@@ -1,4 +1,4 @@
-"""From the solver's frame to the metric room: x_room = s R x_solver + t (thesis 5.3.4; SPEC 2.9).
+"""From the solver's frame to the metric room: x_room = s R x_solver + t (thesis 5.3.4).
 
 Eq. 5.8 of the thesis speaks of similar matrices; what is meant, and used here, is a similarity transformation found by
 Umeyama's method (Umeyama 1991, "Least-squares estimation of transformation parameters between two point patterns").

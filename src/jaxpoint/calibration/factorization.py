@@ -1,4 +1,4 @@
-"""Projective cameras and points from all views at once (SPEC 2.3, 2.4).
+"""Projective cameras and points from all views at once (thesis 5.2, 5.3).
 
 Default: rank-4 factorisation under a mask by the pseudo object-space error and variable projection, then a projective
 bundle adjustment with a division-model lens. No pairwise poses are used.

@@ -1,4 +1,4 @@
-"""Time offsets and cameras together: the tracks brought to one clock, adjusted, and brought there anew (SPEC 2).
+"""Time offsets and cameras together: the tracks brought to one clock, adjusted, and brought there anew.
 
 The clock is the first camera's. Each round moves every observation to it with the offsets known so far, takes the
 motion from what was not rejected, judges, and adjusts cameras, points and offsets together (`OffsetModel`).

@@ -1,4 +1,4 @@
-"""Which observations to believe: rounds that shrink and grow until nothing changes (SPEC 2.7).
+"""Which observations to believe: rounds that shrink and grow until nothing changes.
 
 Every round judges all visible observations anew against the point on which most views of their frame agree; nothing
 that was thrown out stays out for that reason.

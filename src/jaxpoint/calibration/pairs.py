@@ -15,7 +15,7 @@ MIN_COVERAGE = 0.06  # fraction of the cells that a camera's light must visit: 3
 
 
 def pair_table(tracks: Tracks) -> PairTable:
-    """Frames shared by each two cameras, and the image area that the light visited (SPEC 2.1)."""
+    """Frames shared by each two cameras, and the image area that the light visited."""
     visible = tracks.visible.astype(np.int64)
     cells = np.floor(tracks.pixels / tracks.image_sizes * np.array(GRID)).astype(int)
     cells = np.clip(cells, 0, np.array(GRID) - 1)

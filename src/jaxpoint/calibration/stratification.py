@@ -1,4 +1,4 @@
-"""From projective to Euclidean: the plane at infinity and the focal lengths (SPEC 2.5).
+"""From projective to Euclidean: the plane at infinity and the focal lengths (Hartley and Zisserman 2004, chapter 19).
 
 The dual absolute quadric Q = G G^T is kept positive semi-definite of rank 3 by construction: G (4 x 3) is what is
 solved for. Its images P Q P^T = K K^T say how far each camera is from zero skew, unit aspect and a principal point at

@@ -1,4 +1,4 @@
-"""All pairs of cameras at once: lenses, epipolar geometry, and a vote on every observation (SPEC 2.2)."""
+"""All pairs of cameras at once: lenses, epipolar geometry, and a vote on every observation (thesis 5.3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Directions as azimuth and elevation, and turned by them (SPEC 6).
+"""Directions as azimuth and elevation, and turned by them (thesis 7.2).
 
 Azimuth is counter-clockwise about the vertical z, from x: positive to the left. Elevation is positive upwards.
 """
