@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import warnings
 from collections.abc import Callable
 from functools import cache, wraps
 from importlib.metadata import version
@@ -78,6 +79,8 @@ def keep_programs(folder: Path) -> Path:
     may crash on this one, and a folder may be shared.
     """
     own = folder.absolute() / f"jaxlib-{version('jaxlib')}-{_processor()}"
+    # Two processes may meet at one program while it is written: the one that comes too early compiles it itself.
+    warnings.filterwarnings("ignore", "Error (reading|writing) persistent compilation cache entry")
     jax.config.update("jax_compilation_cache_dir", str(own))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
