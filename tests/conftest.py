@@ -4,6 +4,7 @@ import ctypes
 import gc
 import os
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,10 +30,12 @@ from jaxpoint.simulate.rooms import random_room
 os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     programs = user_cache() / "test-programs"
-    trim_programs(programs, time.time())
-    os.environ["JAX_COMPILATION_CACHE_DIR"] = str(keep_programs(programs))
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    with suppress(OSError):  # without a folder that can be written, every run is a first one
+        programs.mkdir(parents=True, exist_ok=True)
+        trim_programs(programs, time.time())
+        os.environ["JAX_COMPILATION_CACHE_DIR"] = str(keep_programs(programs))
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 # `HYPOTHESIS_PROFILE=repeatable` draws the same examples every time; without it each run looks for new ones.
