@@ -1,6 +1,7 @@
 """`detect board`, `intrinsics`, `stereo` and `undistort` on real images, from the command line to the files."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
@@ -98,6 +99,31 @@ def test_stereo_writes_everything(stereo_run):
     page = (stereo_run / "report.html").read_text()
     assert "Cameras against each other" in page
     assert "rectified" in page
+
+
+def test_depth_that_fails_costs_no_calibration(images, tmp_path, capsys, caplog, monkeypatch):
+    def broken(*_):
+        raise RuntimeError("no depth")
+
+    monkeypatch.setattr("jaxpoint.commands.stereo_results.rectify", broken)
+    out = tmp_path / "run"
+    assert run(capsys, "stereo", *images, *BOARD, "--out", out)[0] == 0
+    assert "Missing: the rectification and depth" in caplog.text
+    assert len(read_calibration(out).rig) == 2
+    code, _, said = run(capsys, "stereo", *images, *BOARD, "--frame", 999, "--out", tmp_path / "x")
+    assert (code, "no frame 999" in said) == (2, True)
+
+
+def test_a_marked_run_says_so_wherever_it_is_used(stereo_run, images, tmp_path, capsys, caplog):
+    shutil.copytree(stereo_run, tmp_path / "marked")
+    metrics = tmp_path / "marked" / "metrics.json"
+    metrics.write_text(json.dumps(json.loads(metrics.read_text()) | {"failure": "it did not settle"}))
+    mark = f"'{tmp_path / 'marked'}' was marked when it was made: it did not settle"
+    code, said, _ = run(capsys, "convert", tmp_path / "marked", tmp_path / "out.toml", "--to", "anipose")
+    assert (code, mark in said) == (0, True)
+    known = ("--calibration", tmp_path / "marked", "left", "right")
+    assert run(capsys, "stereo", *images, *known, "--out", tmp_path / "depth")[0] == 0
+    assert mark in caplog.text
 
 
 def test_the_board_lies_as_far_as_the_depths_say(stereo_run):

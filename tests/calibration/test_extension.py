@@ -141,6 +141,17 @@ def test_what_cannot_be_extended_is_refused(room, known):
         extend_calibration(replace(room.tracks, visible=visible), known)
 
 
+def test_a_room_that_did_not_pass_is_not_called_good_by_extending_it(room, known, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("jaxpoint.runs.write_report", lambda path, *_, **__: path.write_text("page"))
+    write_run(tmp_path / "room", replace(known, converged=False, message="stopped early"), RoomConfig(), command="test")
+    save_tracks(tmp_path / "tracks.npz", room.tracks)
+    out = tmp_path / "more"
+    given = ["calibrate", str(tmp_path / "tracks.npz"), "--extend", str(tmp_path / "room"), "--out", str(out)]
+    assert main(given) == 5
+    assert "The room that was extended did not pass: The adjustment did not converge" in capsys.readouterr().err
+    assert out.is_dir()
+
+
 def test_the_command_line(room, known, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("jaxpoint.runs.write_report", lambda path, *_, **__: path.write_text("page"))
     write_run(tmp_path / "room", known, RoomConfig(), command="test")

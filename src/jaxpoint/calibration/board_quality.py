@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxpoint.calibration.board_figures import ViewFit, different_views, view_fits, where_next
 from jaxpoint.calibration.pair_poses import pair_scatter
-from jaxpoint.calibration.quality import SOLVER, GateCheck, Quality
+from jaxpoint.calibration.quality import GateCheck, Quality, plain_checks
 from jaxpoint.calibration.result import Calibration, Finding, Level
 from jaxpoint.camera.camera import POSE_NAMES
 from jaxpoint.config import CalibrateSettings
@@ -31,30 +31,7 @@ def assess_boards(calibration: Calibration, settings: CalibrateSettings | None =
 
 
 def _checks(calibration: Calibration, settings: CalibrateSettings) -> Iterator[GateCheck]:
-    yield GateCheck(
-        SOLVER,
-        calibration.message if calibration.converged else f"not converged: {calibration.message}",
-        "converged",
-        "good" if calibration.converged else "bad",
-        f"the adjustment did not converge ({calibration.message})",
-    )
-    errors = calibration.errors[calibration.kept]
-    mean = float(errors.mean()) if errors.size else float("inf")
-    yield GateCheck(
-        "Mean error of the corners",
-        f"{mean:.3f} px",
-        f"at most {settings.max_mean_px:g} px",
-        "good" if mean <= settings.max_mean_px else "bad",
-        f"the mean reprojection error is {mean:.2f} px, above the {settings.max_mean_px:g} px allowed",
-    )
-    share = float(calibration.kept.sum() / max(calibration.tracks.visible.sum(), 1))
-    yield GateCheck(
-        "Inliers",
-        f"{share:.1%}",
-        f"at least {settings.min_kept:.0%}",
-        "good" if share >= settings.min_kept else "bad",
-        f"only {share:.0%} of the corners fit, below the {settings.min_kept:.0%} asked for",
-    )
+    yield from plain_checks(calibration, settings, int(calibration.tracks.visible.sum()), "corners")
     for name, sigma in zip(calibration.rig.names, focal_sigmas(calibration)):
         yield GateCheck(
             f"Focal length of {name}, one standard deviation",

@@ -78,6 +78,7 @@ class Quality:
 
 
 SOLVER = "Solver"
+COMPARABLE = "observations in frames of two or more views"
 _LOOK = "The report shows which camera, place or time disagrees."
 
 
@@ -119,8 +120,13 @@ def _normal(calibration: Calibration) -> NormalEquations | None:
     return normal_equations(calibration) if possible else None
 
 
-def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignSettings) -> Iterator[GateCheck]:
-    """The plain thresholds of the settings."""
+def plain_checks(calibration: Calibration, settings: CalibrateSettings, seen: int, what: str) -> Iterator[GateCheck]:
+    """Solver, mean error, and share of inliers.
+
+    Args:
+        seen: observations that could have been inliers.
+        what: which these are, in words.
+    """
     yield GateCheck(
         SOLVER,
         calibration.message if calibration.converged else f"not converged: {calibration.message}",
@@ -139,15 +145,19 @@ def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignS
         if errors.size
         else "no observation was kept",
     )
-    share = calibration.kept.sum() / max(calibration.comparable.sum(), 1)
+    share = calibration.kept.sum() / max(seen, 1)
     yield GateCheck(
         "Inliers",
         f"{share:.1%}",
         f"at least {settings.min_kept:.0%}",
         "good" if share >= settings.min_kept else "bad",
-        f"only {share:.0%} of the observations in frames of two or more views fit, below the {settings.min_kept:.0%} "
-        "asked for",
+        f"only {share:.0%} of the {what} fit, below the {settings.min_kept:.0%} asked for",
     )
+
+
+def _checks(calibration: Calibration, settings: CalibrateSettings, align: AlignSettings) -> Iterator[GateCheck]:
+    """The plain thresholds of the settings."""
+    yield from plain_checks(calibration, settings, int(calibration.comparable.sum()), COMPARABLE)
     aligned = calibration.alignment
     if aligned is not None:
         yield GateCheck(

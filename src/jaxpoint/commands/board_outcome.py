@@ -58,8 +58,9 @@ def write_board_outcome(
     lines: tuple[str, ...] = ()
     with new_run(out, force, report) as folder:
         if more is not None:
-            lines, context = more(folder, figures)
-            shown.update(context)
+            with extra("the rectification and depth", missing):
+                lines, context = more(folder, figures)
+                shown.update(context)
         save_files(folder, calibration, room, figures, made)
     page = out / "report.html"
     told = {**figures, "run": str(out), "report": str(page) if page.exists() else None}

@@ -15,7 +15,8 @@ from jaxpoint.config import CalibrateSettings, InputSettings, RoomConfig
 from jaxpoint.errors import FileFormatError, UsageError
 
 if TYPE_CHECKING:
-    from jaxpoint.calibration.result import Calibration
+    from jaxpoint.calibration.quality import Quality
+    from jaxpoint.calibration.result import Calibration, Finding
     from jaxpoint.tracks import Tracks
 
 
@@ -96,6 +97,7 @@ class Calibrate(Options):
     def _extended(self, tracks: Tracks) -> Calibration:
         """The tracks' cameras beside those of a calibrated room."""
         from jaxpoint.calibration.extension import extend_calibration
+        from jaxpoint.calibration.quality import assess
         from jaxpoint.runs import read_run
 
         if self.extend is None:
@@ -104,7 +106,22 @@ class Calibrate(Options):
             raise UsageError("--extend takes its lenses from the room; leave out --intrinsics.")
         if self.settings.time_offsets:
             raise UsageError("--extend needs cameras in step; leave out --time-offsets, and give --offset or --rate.")
-        return extend_calibration(tracks, read_run(self.extend).calibration, self.settings, self.recalibrate)
+        run = read_run(self.extend)
+        found = extend_calibration(tracks, run.calibration, self.settings, self.recalibrate)
+        before = assess(run.calibration, run.config.calibrate, run.config.align)
+        return found if before.holds else replace(found, findings=(*found.findings, _did_not_pass(before)))
+
+
+def _did_not_pass(before: Quality) -> Finding:
+    """What is said of a room that was no good before it was extended: cameras beside it are no better."""
+    from jaxpoint.calibration.result import Finding
+
+    return Finding(
+        "extended room",
+        "bad",
+        f"The room that was extended did not pass: {before.failure}",
+        "Calibrate that room anew, and extend it then",
+    )
 
 
 def _detect_seconds(tracks: Path) -> float | None:

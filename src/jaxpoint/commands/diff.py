@@ -86,10 +86,10 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         InsufficientDataError: they hardly see the same places.
     """
     from jaxpoint.calibration.difference import difference, sampled_places
-    from jaxpoint.io.exchange import read_calibration
+    from jaxpoint.io.exchange import read_cameras
     from jaxpoint.report.difference_page import Compared
 
-    one, other = read_calibration(first), read_calibration(second)
+    one, other = read_cameras(first), read_cameras(second)
     names = [name for name in one.rig.names if name in other.rig.names]
     if not names:
         raise UsageError(
@@ -124,9 +124,7 @@ def compare(first: Path, second: Path, align: bool = True) -> Compared:
         notes.append(f"No comparison with the uncertainties is possible: {missing}")
     if set(one.provenance.get("inputs", {}).values()) & set(other.provenance.get("inputs", {}).values()):
         notes.append("Both come from the same input, so their errors are alike: expect less than is allowed.")
-    notes += [
-        f"'{path}' was marked when it was made: {why}" for path in (first, second) if (why := _why_not_passed(path))
-    ]
+    notes += [*one.notes, *other.notes]
     if one.unit != "m":
         notes.append(f"Lengths are in thousandths of the unit of '{first}'; align it to have mm.")
     return Compared(found, "mm" if one.unit == "m" else "thousandths", tuple(notes))
@@ -163,14 +161,6 @@ def _without_covariance(path: Path) -> str:
     if why:
         return f"'{path}' holds no covariance, because of this: {why}"
     return f"'{path}' holds no covariance; give the folder of a run of `calibrate` or `align`."
-
-
-def _why_not_passed(path: Path) -> str | None:
-    """Why a run did not pass, if it is one and did not."""
-    from jaxpoint.runs import read_json
-
-    metrics = path / "metrics.json"
-    return read_json(metrics).get("failure") if metrics.is_file() else None
 
 
 def _of(saved: SavedCalibration, names: list[str]) -> np.ndarray:

@@ -68,6 +68,7 @@ class Stereo(Options):
                 f"Stereo takes two cameras, and {len(sources.names)} were given ({', '.join(sources.names)}); name the "
                 "left and the right one."
             )
+        self._check_frame(sources)
         return self._read(out, sources) if self.calibration is not None else self._solve(out, sources, console)
 
     def _solve(self, out: Path, sources: BoardSources, console: Console) -> Outcome:
@@ -90,7 +91,7 @@ class Stereo(Options):
         room = replace(self.room, calibrate=settings, stereo=self.stereo, runtime=self.runtime)
 
         def more(folder: Path, figures: dict[str, Any]) -> tuple[tuple[str, ...], dict[str, Any]]:
-            results = StereoResults(solved.rig, sources, self.stereo, self._frame(detection.tracks.frame_ids))
+            results = StereoResults(solved.rig, sources, self.stereo, self.frame)
             return results.write(folder, figures, solved)
 
         given = [path for path in (*self.sources, self.config) if path is not None]
@@ -118,11 +119,12 @@ class Stereo(Options):
                     f"camera '{name}' with {known[0]} x {known[1]}; use the calibration of this recording."
                 )
         rig = CameraRig(chosen.cameras, chosen.image_sizes, tuple(names), chosen.reach)
-        results = StereoResults(rig, sources, self.stereo, self._frame(sources.pairing.frame_ids), saved.unit)
+        results = StereoResults(rig, sources, self.stereo, self.frame, saved.unit)
         return write_depth_outcome(results, out, inputs=[path, *self.sources], force=self.force)
 
-    def _frame(self, frame_ids: Any) -> int | None:
-        """The frame that was asked for."""
-        if self.frame is not None and self.frame not in frame_ids:
-            raise UsageError(f"There is no frame {self.frame}; choose one of {min(frame_ids)} to {max(frame_ids)}.")
-        return self.frame
+    def _check_frame(self, sources: BoardSources) -> None:
+        """Refuse a frame that not both cameras have, before anything is solved."""
+        both = sources.pairing.frame_ids[sources.shared]
+        if self.frame is not None and self.frame not in both:
+            among = f"; choose one of {both.min()} to {both.max()}" if len(both) else ""
+            raise UsageError(f"There is no frame {self.frame} of both cameras{among}.")

@@ -92,14 +92,11 @@ class StereoResults:
     def _pair(self) -> tuple[int, tuple[np.ndarray, np.ndarray]]:
         """The frame that was asked for, or the middle one that both cameras have, and its images."""
         index, ids = self.sources.pairing.index, self.sources.pairing.frame_ids
-        both = np.flatnonzero((index >= 0).all(axis=1))
+        both = self.sources.shared
         if self.frame is not None:
             both = both[ids[both] == self.frame]
         if not len(both):
-            raise InsufficientDataError(
-                f"There are 0 frames of both cameras{'' if self.frame is None else f' with number {self.frame}'}; name "
-                "another --frame."
-            )
+            raise InsufficientDataError("No frame was taken by both cameras; give images of the same moments.")
         row = int(both[len(both) // 2])
         images = [source.read(int(index[row, camera])) for camera, source in enumerate(self.sources.frames)]
         return int(ids[row]), (images[0], images[1])

@@ -28,6 +28,11 @@ class BoardSources:
     frames: tuple[FrameSource, ...]
     pairing: Pairing
 
+    @property
+    def shared(self) -> Int[np.ndarray, " S"]:
+        """Rows of the pairing in which every camera has a frame."""
+        return np.flatnonzero(np.all(self.pairing.index >= 0, axis=1))
+
     def spread(self, every: int) -> Int[np.ndarray, " F"]:
         """Rows of the pairing to look at: every so many; with 0 all images, or at most 300 frames of videos."""
         rows = len(self.pairing.frame_ids)
