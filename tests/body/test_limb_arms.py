@@ -49,7 +49,7 @@ def unit(*vector: float) -> np.ndarray:
 
 
 def random_person(rng: np.random.Generator):
-    """Somebody who points away from the trunk, the elbow bent a little, the hand out of line by up to 15 degrees."""
+    """A person who points away from the trunk, the elbow bent a little, the hand out of line by up to 15 degrees."""
     azimuth, elevation = rng.uniform(-2.2, 0.6), rng.uniform(-0.3, 0.5)
     forearm = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     upper = unit(*(forearm + rng.uniform(-0.4, 0.4, 3) - [0.0, 0.0, 0.3]))
@@ -130,7 +130,7 @@ def test_what_hidden_views_hold_does_not_matter(example):
 
 
 def test_a_covered_forearm_is_not_used(example):
-    """A board before the person in one view: that view is told hidden, and the answer stays."""
+    """A board before the person in one view: that view is said to be hidden, and the answer stays."""
     rig, crops, head, head_px, joints, forearm = example
     arm = arm_of(rig, crops, head, head_px)
     assert arm is not None

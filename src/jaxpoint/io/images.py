@@ -106,7 +106,7 @@ def _refuse_copies(files: list[Path]) -> None:
 
 
 def _without_images(path: Path) -> str:
-    """What to tell of a folder that is none of images: it may be that of all cameras."""
+    """What is said of a folder without images: it may be that of all cameras."""
     videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
     folders = [folder for folder in sorted(path.iterdir()) if folder.is_dir() and any(map(_is_frame, folder.iterdir()))]
     for kind, inside in (("the video", videos), ("the folder of images", folders)):

@@ -106,7 +106,7 @@ def read_matrix(path: StrPath) -> Float[np.ndarray, "rows columns"]:
     """A matrix of numbers written as text, plain or by Octave; NaN, NA and Inf are read as such.
 
     Raises:
-        FileFormatError: no file, no numbers, a value that is none, or rows of unequal length (a cut-off file).
+        FileFormatError: no file, no numbers, a non-finite value, or rows of unequal length (a cut-off file).
     """
     expected: dict[str, int] = {}
     rows: list[list[float]] = []
