@@ -27,7 +27,7 @@ from jaxpoint.camera.parameters import FOCAL
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.formats.caliscope_toml import read_camera_array
-from jaxpoint.io.track_files import read_caliscope_corners
+from jaxpoint.io.track_formats.caliscope_corners import read_caliscope_corners
 from jaxpoint.tracks import Tracks
 
 Row = tuple[str, str, str, str]

@@ -41,6 +41,7 @@ SHOWN = "|".join(
         "calibrate",
         "align",
         "validate",
+        "triangulate",
         "diff",
         "convert",
         "simulate",

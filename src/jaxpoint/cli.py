@@ -47,6 +47,7 @@ from jaxpoint.commands.options import Outcome
 from jaxpoint.commands.point import Point
 from jaxpoint.commands.simulate import Simulate
 from jaxpoint.commands.stereo import Stereo
+from jaxpoint.commands.triangulate import Triangulate
 from jaxpoint.commands.undistort import Undistort
 from jaxpoint.commands.validate import Validate
 from jaxpoint.config import RoomConfig, check_settings, load_config
@@ -67,6 +68,7 @@ Command = (
     | Calibrate
     | Align
     | Validate
+    | Triangulate
     | Diff
     | Convert
     | Doctor

@@ -43,6 +43,7 @@ class Tracks(eqx.Module):
     target_ids: Int[np.ndarray, " F"] | None = None  # index into `targets`, -1 for points of none
     targets: tuple[Target, ...] = eqx.field(static=True, default=())
     prior: PointPrior | None = None
+    point_names: tuple[str, ...] = eqx.field(static=True, default=())  # of the points of no target, by their ids
 
     @staticmethod
     def from_pixels(
@@ -56,6 +57,7 @@ class Tracks(eqx.Module):
         point_ids: Int[np.ndarray, " F"] | None = None,
         target: Target | None = None,
         prior: PointPrior | None = None,
+        point_names: Sequence[str] = (),
     ) -> Tracks:
         """Checked tracks from an array of pixels, NaN (or `visible` False) where a point was not seen.
 
@@ -63,6 +65,7 @@ class Tracks(eqx.Module):
             point_ids: where there are several points; rows are then sorted by point and frame.
             target: the rigid target whose points these are; `point_ids` are indices of its points.
             prior: where rows are known to lie; these enter the adjustment and hold its frame.
+            point_names: of the points by their ids, as an estimator of poses calls them.
 
         Raises:
             ValueError: shapes do not fit, an infinite pixel, a name used twice, a point twice in one frame, or a
@@ -86,7 +89,11 @@ class Tracks(eqx.Module):
         plain = Tracks(np.where(seen[..., None], pixels, 0.0), seen, sizes, ids, times, names, pixel_aspects)
         if point_ids is None and target is None and prior is None:
             return plain
-        return _with_points(plain, point_ids, target, prior)
+        return replace(_with_points(plain, point_ids, target, prior), point_names=tuple(point_names))
+
+    def point_name(self, point: int) -> str:
+        """What a point of no target is called: its name, or its number where it has none."""
+        return self.point_names[point] if 0 <= point < len(self.point_names) else str(point)
 
     @property
     def cameras(self) -> int:
@@ -286,7 +293,17 @@ def join_tracks(*parts: Tracks) -> Tracks:
     if any(part.prior is not None for part in parts):
         known = [part.prior or _no_prior(part.frames) for part in parts]
         prior = PointPrior(*(np.concatenate([getattr(one, name) for one in known]) for name in ("points", "sigmas")))
-    whole = replace(first, **joined, times=times, point_ids=points, target_ids=owners, targets=targets, prior=prior)
+    names = _joined_names(parts)
+    whole = replace(
+        first,
+        **joined,
+        times=times,
+        point_ids=points,
+        target_ids=owners,
+        targets=targets,
+        prior=prior,
+        point_names=names,
+    )
     return whole.select_frames(np.lexsort((whole.frame_ids, points, owners)))
 
 
@@ -296,15 +313,33 @@ def _no_prior(rows: int) -> PointPrior:
 
 def _joined_ids(parts: Sequence[Tracks]) -> tuple[np.ndarray, np.ndarray]:
     """Point and target of each row; points of no target get ids that no earlier part has."""
-    points, owners, free, before = [], [], 0, 0
-    for part in parts:
+    points, owners, before = [], [], 0
+    for part, free in zip(parts, _first_ids(parts)):
         own = np.zeros(part.frames, np.int64) if part.point_ids is None else part.point_ids.copy()
         owner = np.full(part.frames, NO_TARGET) if part.target_ids is None else part.target_ids.copy()
         loose = owner == NO_TARGET
         own[loose] += free
-        free = max(free, int(own[loose].max(initial=-1)) + 1)
         owner[~loose] += before
         before += len(part.targets)
         points.append(own)
         owners.append(owner)
     return np.concatenate(points), np.concatenate(owners)
+
+
+def _first_ids(parts: Sequence[Tracks]) -> list[int]:
+    """What is added to the ids of each part's loose points, so that no earlier part has them."""
+    first = [0]
+    for part in parts[:-1]:
+        own = np.zeros(part.frames, np.int64) if part.point_ids is None else part.point_ids
+        loose = own if part.target_ids is None else own[part.target_ids == NO_TARGET]
+        first.append(first[-1] + max(int(loose.max(initial=-1)) + 1, len(part.point_names)))
+    return first
+
+
+def _joined_names(parts: Sequence[Tracks]) -> tuple[str, ...]:
+    """Names of the loose points under their ids in the whole; none where no part has any."""
+    names: list[str] = []
+    for part, first in zip(parts, _first_ids(parts)):
+        if part.point_names:
+            names += [*(str(number) for number in range(len(names), first)), *part.point_names]
+    return tuple(names)

@@ -46,3 +46,4 @@ from .still_cameras import still_cameras as still_cameras
 from .stratification import Upgraded as Upgraded, Views as Views, candidates as candidates, upgrade as upgrade
 from .sturm_triggs import depth_ratios as depth_ratios, fill_rank_four as fill_rank_four
 from .uncertainty import Uncertainty as Uncertainty, uncertainty_of as uncertainty_of
+from .track_points import TrackPoints as TrackPoints, points_of_tracks as points_of_tracks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,8 +20,10 @@ logger = logging.getLogger(__name__)
 MAX_OUTSIDE = 0.05  # fraction of a camera's lights
 
 
-def tracks_from(path: Path, settings: InputSettings) -> Tracks:
+def tracks_from(path: Path, settings: InputSettings, sizes: Mapping[str, tuple[int, int]] | None = None) -> Tracks:
     """The tracks of a command, without the cameras that are left out, and on one clock as far as the settings say.
+
+    `sizes` are those of the images (px) by camera where a calibration says them, for files that do not.
 
     Raises:
         FileFormatError: the file or folder is not what it should be.
@@ -33,7 +36,13 @@ def tracks_from(path: Path, settings: InputSettings) -> Tracks:
     from jaxpoint.io.timestamps import read_timestamps, synchronise
     from jaxpoint.io.track_files import read_tracks
 
-    tracks = read_tracks(path, one_based=settings.one_based, image_sizes=settings.image_size)
+    tracks = read_tracks(
+        path,
+        one_based=settings.one_based,
+        image_sizes=settings.image_size or sizes,
+        min_likelihood=settings.min_likelihood,
+        individual=settings.individual,
+    )
     if not tracks.frames:
         raise InsufficientDataError(f"'{path}' holds 0 frames; record the light and detect it first.")
     if settings.wand_m is not None:

@@ -137,6 +137,11 @@ class InputSettings:
     """The first pixel is (1, 1), as in files written by Matlab."""
     image_size: tuple[Count, Count] | None = None
     """Width and height in pixels of every camera, for files that do not say it."""
+    min_likelihood: Fraction | None = None
+    """Keypoints of a pose estimator that are less sure than this are as not seen; by default 0.6 of DeepLabCut and
+    Lightning Pose, and all of SLEAP."""
+    individual: str | None = None
+    """Whose keypoints are read, where a file holds several animals or people."""
     wand_m: Positive | None = None
     """The two points of every frame (0 and 1) are the ends of a wand of this length, which gives metres."""
     static_points: Path | None = None

@@ -11,3 +11,4 @@ from .line import (
 from .plane import Plane as Plane, Rect as Rect, fit_plane as fit_plane
 from .pose import Pose as Pose, Similarity as Similarity
 from .rotation import nearest_rotation as nearest_rotation
+from .world_axes import WORLDS as WORLDS, World as World, world_of as world_of

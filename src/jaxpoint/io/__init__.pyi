@@ -39,3 +39,8 @@ from .session import Session as Session, open_session as open_session
 from .timestamps import Timestamps as Timestamps, read_timestamps as read_timestamps, synchronise as synchronise
 from .track_files import load_tracks as load_tracks, read_tracks as read_tracks, save_tracks as save_tracks
 from .video import open_frames as open_frames
+from .track_formats.track_format import TrackFormat as TrackFormat, TrackRequest as TrackRequest
+from .track_formats.track_registry import TRACK_FORMATS as TRACK_FORMATS, register_tracks as register_tracks
+from .track_formats.keypoint_cameras import CameraKeypoints as CameraKeypoints, keypoint_format as keypoint_format
+from .point_formats.point_series import PointSeries as PointSeries, series_of as series_of
+from .point_formats.point_files import write_points as write_points

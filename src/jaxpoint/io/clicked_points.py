@@ -18,6 +18,8 @@ from jaxtyping import Float
 
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import StrPath, read_text
+from jaxpoint.io.track_formats.long_csv import is_table
+from jaxpoint.io.track_formats.track_format import TrackFormat
 from jaxpoint.targets import Target
 from jaxpoint.tracks import Tracks, join_tracks
 
@@ -25,9 +27,11 @@ COLUMN = re.compile(r"pt(\d+)_cam(\d+)_([XY])", re.IGNORECASE)
 Size = tuple[int, int]
 
 
-def is_clicked(path: Path) -> bool:
+def is_clicked(path: Path, head: str) -> bool:
     """Whether the first line of a table is that of DLTdv, or numbers alone as easyWand's."""
-    first = next((line for line in read_text(path).splitlines() if line.strip()), "")
+    first = next((line for line in head.splitlines() if line.strip()), "")
+    if not is_table(path, head):
+        return False
     cells = [cell.strip().strip('"') for cell in re.split(r"[,;\t]", first)]
     return bool(COLUMN.fullmatch(cells[0])) or (len(cells) > 1 and all(map(_is_number, cells)))
 
@@ -143,3 +147,11 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+FORMAT = TrackFormat(
+    "clicked-points",
+    "points of DLTdv, Argus or easyWand",
+    is_clicked,
+    lambda request: read_clicked_points(request.path, request.common_size()),
+)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -71,11 +72,21 @@ def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
         )
 
 
-def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
-    """The calibration in metres and in the room, where it is or where its unit is given.
+def select_cameras(saved: SavedCalibration, places: Sequence[int]) -> SavedCalibration:
+    """Some of the cameras, in the order given, with their part of the covariance; without time offsets."""
+    covariance = saved.covariance
+    if covariance is not None:
+        size = len(covariance) // len(saved.rig)
+        index = np.concatenate([size * place + np.arange(size) for place in places])
+        covariance = covariance[np.ix_(index, index)]
+    return replace(saved, rig=saved.rig.select(places), covariance=covariance, time_offsets=None)
+
+
+def needs_unit(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
+    """The calibration in metres, where it is or where its unit is given.
 
     Raises:
-        UsageError: its unit is not known, it has no metric scale at all, or its frame is not that of the room.
+        UsageError: its unit is not known, or it has no metric scale at all.
     """
     if saved.unit == UNSTATED and unit is not None:
         return in_metres(saved, unit)
@@ -87,6 +98,16 @@ def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> Sa
         raise UsageError(
             f"'{path}' has no metric scale (unit '{saved.unit}'); bring it into the room by `jaxpoint align`."
         )
+    return saved
+
+
+def needs_metres(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:
+    """The calibration in metres and in the room, where it is or where its unit is given.
+
+    Raises:
+        UsageError: its unit is not known, it has no metric scale at all, or its frame is not that of the room.
+    """
+    saved = needs_unit(path, saved, unit)
     if not saved.in_room:
         raise UsageError(
             f"'{path}' has metres, but neither floor nor up (a target gave its scale, or a camera its frame); bring "

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, natural_key, read_text
+from jaxpoint.io.track_formats.track_format import TrackFormat
 from jaxpoint.tracks import Tracks
 
 logger = logging.getLogger(__name__)
@@ -195,3 +196,11 @@ def read_rad(path: Path) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "5
     if abs(k[0, 1]) > 1e-6 * k[0, 0] or k[0, 0] <= 0 or k[1, 1] <= 0:
         raise FileFormatError(f"{path}: K11 {k[0, 0]}, K22 {k[1, 1]}, K12 {k[0, 1]}; focal lengths > 0, no skew.")
     return k, np.array([entries[name] for name in wanted[9:]] + [0.0])
+
+
+TRACK_FORMAT = TrackFormat(
+    "svoboda",
+    "a folder of Svoboda's toolbox",
+    lambda path, head: path.is_dir() and (path / "points.dat").exists(),
+    lambda request: read_svoboda(request.path, request.one_based),
+)
