@@ -1,5 +1,6 @@
 """Axes and units of known points: the case files and rooms of other kinds; what is right is not refused."""
 
+import re
 from pathlib import Path
 
 import jax
@@ -11,9 +12,11 @@ from jaxpoint.calibration.result import Calibration, Verdict
 from jaxpoint.calibration.upright import CameraAxes, check_size, check_upright
 from jaxpoint.commands.align import align
 from jaxpoint.config import AlignSettings
-from jaxpoint.errors import InsufficientDataError
+from jaxpoint.errors import InsufficientDataError, UsageError
 from jaxpoint.geometry.pose import Similarity
+from jaxpoint.geometry.world_axes import world_of
 from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.survey_files import read_landmarks
 from jaxpoint.io.track_files import read_tracks
 from jaxpoint.triangulation import triangulate
 
@@ -112,6 +115,38 @@ def test_landmarks_without_a_place_are_left_out_and_named(data_folder, solved, t
     (tmp_path / "more.csv").write_text("\n".join([*lines[:4], *(f"{9000 + i},{i},2,3" for i in range(4))]))
     with pytest.raises(InsufficientDataError, match="4 of 7 landmarks have no place in this calibration"):
         by(solved, tmp_path / "more.csv")
+
+
+@pytest.mark.parametrize("name", ["opengl", "unity", "unreal", "opencv", "y,x,z"])
+def test_landmarks_of_another_world(data_folder, solved, tmp_path, name):
+    folder = data_folder.parent / "cases/15-axes"
+    right = by(solved, folder / "m.csv")
+    known, world = read_landmarks(folder / "m.csv"), world_of(name)
+    places = (100 if world.unit == "cm" else 1) * world.from_room(known.points)
+    header = f"name,x_{world.unit},y_{world.unit},z_{world.unit}"
+    lines = [",".join([one, *map(repr, place)]) for one, place in zip(known.names, places.tolist())]
+    (tmp_path / "there.csv").write_text("\n".join([header, *lines]))
+    (tmp_path / "clicks.csv").write_text((folder / "clicks.csv").read_text())
+    found = by(solved, tmp_path / "there.csv", world=name)
+    np.testing.assert_allclose(found.rig.positions, right.rig.positions, atol=1e-9)
+    if name in ("opengl", "unity"):
+        with pytest.raises(InsufficientDataError, match=f"--world {name}"):
+            by(solved, tmp_path / "there.csv")
+
+
+def test_the_remedy_of_the_message_works(data_folder, solved):
+    folder = data_folder.parent / "cases/15-axes"
+    right = by(solved, folder / "m.csv")
+    for file in ("yup.csv", "zdown.csv"):
+        with pytest.raises(InsufficientDataError, match="--world") as refused:
+            by(solved, folder / file)
+        world = re.search(r"--world[ =](\S+?)\.?$", str(refused.value))[1]
+        np.testing.assert_allclose(by(solved, folder / file, world=world).rig.positions, right.rig.positions, atol=1e-6)
+
+
+def test_axes_go_with_known_points_alone(solved):
+    with pytest.raises(UsageError, match="leave it out with --floor"):
+        align(solved, AlignSettings(floor=("0", "1", "2"), length_m=1.0, world="unity"))
 
 
 def stand(elevation: float, roll: float = 0.0, count: int = 6, height: float = 2.5) -> CameraAxes:

@@ -336,7 +336,8 @@ def _judge_hand(
         raise InsufficientDataError(
             f"The landmarks fit a mirror image (rms {1e3 * rms_mirrored:.1f} mm) better than the room "
             f"(rms {1e3 * rms:.1f} mm): their axes are left-handed, or names are swapped. Write them "
-            "right-handed with z up: (x, y, z) -> (x, -y, z) where z points up already."
+            "right-handed with z up: (x, y, z) -> (x, -y, z) where z points up already; or say whose axes they are: "
+            "--world unity (left-handed, y up), --world unreal (left-handed, z up)."
         )
     return True, ()
 

@@ -70,11 +70,11 @@ def check_upright(stand: CameraAxes, known: Float[np.ndarray, "N 3"], right_hand
     if _most(stand.votes(np.array([0.0, 0.0, 1.0]))):
         return _lower(stand, known) if 2 * below > count else ()
     other = _other_up(stand, known)
-    turn = f"{TURNS['-z']}{'' if right_handed else _OR_MIRROR}, in the file of known points."
+    turn = f"{TURNS['-z']}{'' if right_handed else _OR_MIRROR}, {_remedy('-z')}"
     if other in ("+x", "-x", "+y", "-y"):
         raise InsufficientDataError(
-            f"The images of the cameras are upright along the room's {other[1]} axis, not along z. {TURNS[other]}, in "
-            "the file of known points."
+            f"The images of the cameras are upright along the room's {other[1]} axis, not along z. {TURNS[other]}, "
+            f"{_remedy(other)}"
         )
     if other == "-z" and (looks_up or 2 * below > count):
         what = _below(below, count, floor) if 2 * below > count else "Most cameras come out looking up"
@@ -85,6 +85,12 @@ def check_upright(stand: CameraAxes, known: Float[np.ndarray, "N 3"], right_hand
 
 
 _OR_MIRROR = "; or the axes are left-handed: (x, y, z) -> (x, -y, z)"
+_WORLDS = {"-z": " x,-y,-z", "+y": " opengl", "-y": " opencv", "+x": " z,y,-x", "-x": "=-z,y,x"}  # the same as a flag
+
+
+def _remedy(up: str) -> str:
+    """How the turn that was named is made."""
+    return f"in the file of known points, or by --world{_WORLDS[up]}."
 
 
 def check_centres(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N 3"]) -> tuple[str, ...]:
@@ -96,9 +102,7 @@ def check_centres(centres: Float[np.ndarray, "C 3"], known: Float[np.ndarray, "N
     floor = min(0.0, float(known[:, 2].min()))
     below = int((centres[:, 2] < floor).sum())
     if 2 * below > len(centres):
-        raise InsufficientDataError(
-            f"{_below(below, len(centres), floor)}. {TURNS['-z']}{_OR_MIRROR}, in the file of known points."
-        )
+        raise InsufficientDataError(f"{_below(below, len(centres), floor)}. {TURNS['-z']}{_OR_MIRROR}, {_remedy('-z')}")
     unturned = np.zeros_like(centres)
     return _lower(CameraAxes(centres, unturned, unturned, unturned), known)
 

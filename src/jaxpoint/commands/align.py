@@ -29,6 +29,8 @@ class Align(SeededOptions):
 
     jaxpoint align runs/room --camera-centres tape.csv --out runs/room-m
 
+    jaxpoint align runs/room --landmarks scene.csv --world unity --landmark-pixels clicks.csv --out runs/room-m
+
     jaxpoint align runs/room --floor 10 250 480 --length-m 2.0 --out runs/room-m
 
     jaxpoint align runs/room --length 10 250 --length-m 2.0 --out runs/room-m
@@ -71,6 +73,7 @@ def align(calibration: Calibration, settings: AlignSettings) -> Calibration:
     """
     from jaxpoint.calibration.covariance import aligned_with_covariance
     from jaxpoint.calibration.upright import check_size
+    from jaxpoint.geometry.world_axes import WORLDS, world_of
     from jaxpoint.io.survey_files import read_landmark_pixels
     from jaxpoint.landmarks import CLICK_SIGMA_PX
 
@@ -79,6 +82,9 @@ def align(calibration: Calibration, settings: AlignSettings) -> Calibration:
         raise UsageError(
             "Give one of --landmarks, --camera-centres, --floor and --length; they are different ways to align."
         )
+    world = world_of(settings.world)
+    if world != WORLDS["room"] and (settings.floor or settings.length):
+        raise UsageError("--world is of known points or camera centres; leave it out with --floor and --length.")
     check_not_extended(calibration)
     names = calibration.rig.names
     clicks = None if settings.landmark_pixels is None else read_landmark_pixels(settings.landmark_pixels, names)
@@ -115,12 +121,24 @@ def _by_landmarks(
     from jaxpoint.landmarks import locate_some
 
     assert settings.landmarks is not None
-    known, points, warnings = locate_some(calibration, read_landmarks(settings.landmarks), clicks)
+    given = in_room_axes(read_landmarks(settings.landmarks), settings.world)
+    known, points, warnings = locate_some(calibration, given, clicks)
     centres, rotations = _cameras(calibration)
     found = align_to_landmarks(
         points, known.points, known.sigmas, names=known.names, camera_centres=centres, camera_rotations=rotations
     )
     return replace(found, warnings=(*found.warnings, *warnings)), known
+
+
+def in_room_axes(known: Landmarks, world: str) -> Landmarks:
+    """Known points of another world, in the axes of the room.
+
+    Raises:
+        UsageError: there is no such world.
+    """
+    from jaxpoint.geometry.world_axes import world_of
+
+    return replace(known, points=world_of(world).to_room(known.points))
 
 
 def _by_centres(
@@ -129,12 +147,15 @@ def _by_centres(
     """By known places of cameras; some may be missing."""
     from jaxpoint.calibration.alignment import align_to_camera_centres
     from jaxpoint.calibration.still_cameras import still_cameras
+    from jaxpoint.geometry.world_axes import world_of
     from jaxpoint.io.survey_files import read_camera_centres
     from jaxpoint.landmarks import locate
 
     assert settings.camera_centres is not None
     names = calibration.rig.names
-    given = read_camera_centres(settings.camera_centres, names, settings.unit)
+    usual = world_of(settings.world).unit  # of files that do not say it
+    unit = settings.unit or (None if usual == "m" else usual)
+    given = in_room_axes(read_camera_centres(settings.camera_centres, names, unit), settings.world)
     centres, rotations = _cameras(calibration)
     still = still_cameras(locate(calibration, given.names)[0], given.points, settings.moved_m)
     known = given.select([name for name, stays in zip(given.names, still) if stays])

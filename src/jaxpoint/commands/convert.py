@@ -5,18 +5,20 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from jaxpoint.commands.console import Console
 from jaxpoint.commands.options import Options, Outcome
-from jaxpoint.config import RoomConfig
+from jaxpoint.config import RoomConfig, Unit
 from jaxpoint.errors import UsageError
 
 if TYPE_CHECKING:
     from jaxpoint.io.formats.calibration_format import CalibrationFormat
     from jaxpoint.io.rig_entries import SavedCalibration
+
+OWN_AXES = {"jaxpoint": "z up", "gltf": "y up"}  # formats whose world is said by what they are
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,6 +30,8 @@ class Convert(Options):
     jaxpoint convert runs/room-m colmap/ --to colmap
 
     jaxpoint convert intri.yml extri.yml calibration.toml --to anipose --size 1920x1080
+
+    jaxpoint convert runs/room-m rig.toml --to anipose --world opengl --out-unit mm
 
     jaxpoint convert --list
 
@@ -43,8 +47,15 @@ class Convert(Options):
     """Format of the output, where its name does not tell."""
     size: str | None = None
     """WIDTHxHEIGHT of all images, px, as 1920x1080: for formats that store no image size."""
-    unit: Literal["m", "cm", "mm"] | None = None
+    unit: Unit = None
     """Unit of the lengths of an input that does not say it."""
+    world: str | None = None
+    """Axes of the output where they are not those of the room (z up): opengl, opensim, opencv, ... or what x, y and z
+    are in the room, as x,z,-y."""
+    from_world: str | None = None
+    """Axes of the input, likewise."""
+    out_unit: Unit = None
+    """Unit of the output, m, cm or mm, for a format that leaves it open."""
     list_: Annotated[bool, tyro.conf.arg(name="list")] = False
     """List the formats and what each has a place for."""
 
@@ -62,10 +73,11 @@ class Convert(Options):
         sources, target = self._sources_and_target()
         fmt = format_to_write(target, self.to)
         saved = _in_unit(sources, read_cameras(sources, self.from_, size=_size(self.size), poses=False), self.unit)
+        saved, axes = self._in_worlds(saved, fmt)
         files = files_of(saved, fmt, target)
         self._spare(sources, target, files)
         write_files(target, files)
-        said = (*saved.notes, *fmt.losses(saved))
+        said = (*saved.notes, *fmt.losses(saved), *axes)
         figures = {
             "out": str(target),
             "format": fmt.name,
@@ -74,6 +86,28 @@ class Convert(Options):
             "notes": list(said),
         }
         return Outcome({**figures, "cameras": list(saved.rig.names)}, (_summary(saved, fmt, target), *said))
+
+    def _in_worlds(self, saved: SavedCalibration, fmt: CalibrationFormat) -> tuple[SavedCalibration, tuple[str, ...]]:
+        """The calibration in the axes and the unit of the output, and what its reader must know of them.
+
+        Raises:
+            UsageError: a world is not known or left-handed, or the format has axes or a unit of its own.
+        """
+        from jaxpoint.geometry.world_axes import WORLDS, world_of
+        from jaxpoint.io.world_conversion import from_world, to_unit, to_world
+
+        world = world_of(self.world or "room")
+        turned = world.axes != WORLDS["room"].axes
+        if turned and fmt.name in OWN_AXES:
+            raise UsageError(f"{fmt.title} always has {OWN_AXES[fmt.name]}; leave out --world {self.world}.")
+        if self.from_world is not None:
+            saved = from_world(saved, world_of(self.from_world))
+        if turned:
+            saved = to_world(saved, world)
+        if self.out_unit is not None:
+            saved = to_unit(saved, fmt, self.out_unit)
+        said = f"The axes of the output are {world} of the room; read it with --from-world {self.world}."
+        return saved, (said,) if turned else ()
 
     def _sources_and_target(self) -> tuple[list[Path], Path]:
         paths = list(self.paths)

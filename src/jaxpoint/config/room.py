@@ -175,6 +175,9 @@ class AlignSettings:
     """CSV of points clicked in two or more images, `name,camera,x,y`."""
     camera_centres: Path | None = None
     """Known camera positions: CSV in the form of `landmarks`, a calibration file, or a .dat with one row a camera."""
+    world: str = "room"
+    """Axes of the known points or centres where z does not point up or they are left-handed: unity, unreal, opengl,
+    opensim, opencv, ... or what their x, y and z are in the room, as x,z,-y. The room has z up in any case."""
     unit: Unit = None
     """Unit of camera centres from a file that does not say it, m, cm or mm."""
     floor: tuple[str, ...] = ()

@@ -4,9 +4,9 @@ CSV: `name`, and of a rectangle `lt_x,lt_y,lt_z,rt_x,...,lb_x,...,rb_x,...` (lef
 right-bottom). With a column `shape` a line may be of any shape: a box has `center_x` to `center_z`, `size_x` to
 `size_z` and optionally `yaw_deg`, a sphere `center_x` to `center_z` and `radius`; columns of other shapes stay empty in
 it. `kind` and `tags` (words between spaces) are optional. The unit (m, cm or mm) stands in a column `unit`, or at the
-end of the columns of all lengths: `lt_x_cm`.
+end of the columns of all lengths: `lt_x_cm`. A column `world` names axes other than the room's (`unity`, `x,z,-y`).
 
-TOML: a `unit`, optionally `[room]` with `low` and `high`, and any number of
+TOML: a `unit`, optionally a `world`, `[room]` with `low` and `high`, and any number of
 
     [[rectangle]]  name, corners (four of three numbers, in the order above)
     [[box]]        name, center, size, and optionally yaw_deg, by which it is turned about the vertical
@@ -31,13 +31,15 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxpoint.errors import FileFormatError
+from jaxpoint.errors import FileFormatError, UsageError
+from jaxpoint.geometry.world_axes import World, world_of
 from jaxpoint.io.files import Row, StrPath, check_finite, parse_header, parse_table, read_text
 from jaxpoint.pointing.objects import NOTHING, Objects, Thing
 from jaxpoint.pointing.room_box import MAX_ROOM_M, Room
 from jaxpoint.pointing.shapes.registry import shapes
 from jaxpoint.pointing.shapes.shape import AbstractShape, Field
 
+ROOM = "room"  # the world of a file that names none
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 PLAIN = "rectangle"  # the shape of every line of a CSV file that has no column `shape`
 USUAL_SPAN_M = (1.0, 30.0)  # of all objects together; beyond these the unit is often wrong
@@ -178,8 +180,9 @@ def _thing(row: Row, shape: type[AbstractShape], suffix: str) -> Thing:
         raise row.error(f"the unit is '{unit}'; use m, cm or mm.")
     _check_cells(row, shape, suffix)
     values = [field.from_file(_cells(row, field, suffix), UNITS[unit]) for field in shape.fields]
-    found = shape(*values)
-    check_shape(found, f"{row.path}, line {row.line}: '{row.text('name')}'")
+    place = f"{row.path}, line {row.line}: '{row.text('name')}'"
+    found = _in_room(place, shape(*values), row.values.get("world") or ROOM)
+    check_shape(found, place)
     return Thing(row.text("name"), found, row.values.get("kind", ""), tuple(row.values.get("tags", "").split()))
 
 
@@ -221,7 +224,7 @@ def _file_type() -> type[msgspec.Struct]:
     for name, shape in shapes().items():
         entry = msgspec.defstruct(name, [_key(field) for field in shape.fields], bases=(_Entry,), kw_only=True)
         tables.append((name, tuple[entry, ...], ()))
-    every = [("unit", str), ("room", _Extent | None, None), *tables]
+    every = [("unit", str), ("world", str, ROOM), ("room", _Extent | None, None), *tables]
     return msgspec.defstruct("File", every, kw_only=True, forbid_unknown_fields=True)
 
 
@@ -249,22 +252,38 @@ def _parse_toml(path: Path, text: str) -> tuple[list[Thing], Room | None]:
         raise FileFormatError(f"{path}: the unit is '{file.unit}'; use m, cm or mm.")
     scale = UNITS[file.unit]
     things = [
-        Thing(entry.name, _shape(path, shape, entry, scale), entry.kind, entry.tags)
+        Thing(entry.name, _shape(path, shape, entry, scale, file.world), entry.kind, entry.tags)
         for name, shape in shapes().items()
         for entry in getattr(file, name)
     ]
     if not things:
         raise FileFormatError(f"{path} holds 0 objects; add {known_tables()}.")
-    return things, None if file.room is None else _room(path, file.room, scale)
+    return things, None if file.room is None else _room(path, file.room, scale, file.world)
 
 
-def _shape(path: Path, shape: type[AbstractShape], entry: _Entry, scale: float) -> AbstractShape:
+def _in_room(where: str, shape: AbstractShape, world: str) -> AbstractShape:
+    """A shape of a world in the axes of the room."""
+    found = shape if world == ROOM else shape.to_room(_world(where, world))
+    if found is None:
+        raise FileFormatError(f"{where} is a {shape.name}, which cannot be turned; give it in the axes of the room.")
+    return found
+
+
+def _world(where: str, text: str) -> World:
+    try:
+        return world_of(text)
+    except UsageError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+
+
+def _shape(path: Path, shape: type[AbstractShape], entry: _Entry, scale: float, world: str) -> AbstractShape:
     name = f"{path}: '{entry.name}'"
     for field in shape.fields:
         found = len(getattr(entry, field.name)) if field.points else 0
         if found != len(field.points):
             raise FileFormatError(f"{name} has {found} {field.name}; a {shape.name} has {len(field.points)}.")
     made = shape(*(field.from_file(getattr(entry, field.name), scale) for field in shape.fields))
+    made = _in_room(name, made, world)
     check_shape(made, name)
     return made
 
@@ -274,14 +293,14 @@ def _layout() -> str:
     tables = [
         f"[[{name}]] (name, {', '.join(field.name for field in shape.fields)})" for name, shape in shapes().items()
     ]
-    return f"it must hold unit, and may hold [room] (low, high), {_either(tables, 'and')}, all with kind and tags"
+    return f"it must hold unit, and may hold world, [room] (low, high), {_either(tables, 'and')}, with kind and tags"
 
 
 def _either(words: Sequence[str], word: str = "or") -> str:
     return f"{', '.join(words[:-1])} {word} {words[-1]}"
 
 
-def _room(path: Path, extent: _Extent, scale: float) -> Room:
+def _room(path: Path, extent: _Extent, scale: float, world: str) -> Room:
     low, high = scale * np.array(extent.low), scale * np.array(extent.high)
     if (low >= high).any():
         axis = "xyz"[int(np.argmax(low >= high))]
@@ -292,8 +311,9 @@ def _room(path: Path, extent: _Extent, scale: float) -> Room:
             f"The room of {path} is {size:.0f} m long, and no room is larger than {MAX_ROOM_M:.0f} m; correct the "
             "unit, or its low and high."
         )
+    ends = np.stack([low, high]) if world == ROOM else _world(str(path), world).to_room(np.stack([low, high]))
     with jax.enable_x64(True):
-        return Room(low, high)
+        return Room(ends.min(axis=0), ends.max(axis=0))
 
 
 def name_fault(name: str) -> str | None:

@@ -49,6 +49,11 @@ def append_object(path: StrPath, thing: Thing) -> tuple[str, ...]:
     check_shape(thing.shape, f"'{thing.name}'")
     old = read_text(path)
     known = parse_objects(path, old)
+    if "world" in (tomllib.loads(old) if is_toml(path) else parse_header(path, old)):
+        raise UsageError(
+            f"'{path}' names the world of its axes, and objects are added in those of the room; write '{thing.name}' "
+            "into the file by hand."
+        )
     things = [*known.things, thing]
     check_names(path, things)
     check_span(path, things)

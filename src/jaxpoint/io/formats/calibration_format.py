@@ -24,6 +24,7 @@ from jaxpoint.io.rig_entries import (
 )
 
 HEAD = 1 << 17  # bytes in which a file says what it is
+KNOWN_UNITS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 UNSIZED = (0, 0)  # px, the image size of a camera in a format that stores none
 
 
@@ -201,13 +202,16 @@ class CalibrationFormat:
             said.append(f"{self.title} names the cameras {', '.join(names)} for {', '.join(saved.rig.names)}.")
         if saved.posed and not self.holds.world:
             said.append(relative_frame(self.title, saved))
-        if saved.posed and saved.unit != "m" and self.holds.unit != "any":
+        if saved.posed and saved.unit not in KNOWN_UNITS and self.holds.unit != "any":
             unit = "whose unit was not stated" if saved.unit == UNSTATED else "in an arbitrary unit"
             said.append(f"{self.title} does not say the unit of lengths, and these are lengths {unit}.")
         if saved.posed and saved.unit == "m" and not saved.in_room and not self.holds.room:
             said.append(f"{self.title} does not say that its frame is not the room's (these metres have no floor).")
-        if saved.posed and saved.unit == "m" and self.holds.unit == UNSTATED:
-            said.append(f"{self.title} does not say the unit of lengths (these are metres): read it with --unit m.")
+        if saved.posed and saved.unit in KNOWN_UNITS and self.holds.unit == UNSTATED:
+            said.append(
+                f"{self.title} does not say the unit of lengths (these are {KNOWN_UNITS[saved.unit]}): read it with "
+                f"--unit {saved.unit}."
+            )
         return (*said, *self.more_losses(saved))
 
 

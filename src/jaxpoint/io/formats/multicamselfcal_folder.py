@@ -98,8 +98,9 @@ def _write(saved: SavedCalibration, path: Path) -> Mapping[str, bytes]:
         ]
     files["Res.dat"] = [f"{camera.size[0]} {camera.size[1]}" for camera in cameras]
     files["camera_order.txt"] = [camera.name for camera in cameras]
-    if saved.unit == "m":
-        files["calibration_units.txt"] = ["meters"]
+    word = next((word for word, unit in UNITS_THERE.items() if unit == saved.unit), None)
+    if word is not None:
+        files["calibration_units.txt"] = [word]
     return {name: "\n".join([*lines, ""]).encode() for name, lines in files.items()}
 
 

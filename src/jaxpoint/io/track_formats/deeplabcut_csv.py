@@ -47,7 +47,7 @@ def read_deeplabcut_csv(request: TrackRequest, path: Path) -> CameraKeypoints:
     header = {line[0]: line for line in lines[:head]}
     first = next((i for i, cell in enumerate(header["coords"][1:], 1) if cell), 1)
     individuals = header.get("individuals", [""] * len(header["coords"]))
-    columns = [tuple(cells) for cells in zip(individuals, header["bodyparts"], header["coords"])][first:]
+    columns = [*zip(individuals, header["bodyparts"], header["coords"])][first:]
     frames = [_frame(path, line[:first]) for line in lines[head:]]
     values = [_numbers(path, number, line[first:], len(columns)) for number, line in enumerate(lines[head:], head + 1)]
     return keypoints_of(request, path, columns, np.array(frames, int), np.array(values).reshape(-1, len(columns)))

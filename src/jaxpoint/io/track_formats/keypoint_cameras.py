@@ -111,7 +111,7 @@ def _tracks(request: TrackRequest, cameras: Sequence[CameraKeypoints]) -> Tracks
         rows = np.searchsorted(frames, camera.frame_ids)
         for p, name in enumerate(camera.names):
             pixels[points.index(name), rows, c] = camera.pixels[:, p]
-    seen = np.isfinite(pixels).all(axis=-1)
+    seen = np.asarray(np.isfinite(pixels).all(axis=-1))
     point, frame = np.nonzero(seen.any(axis=-1))
     return Tracks.from_pixels(
         np.where(seen[..., None], pixels, np.nan)[point, frame] - float(request.one_based),

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
+from jaxpoint.geometry.world_axes import World
 from jaxpoint.pointing.shapes.faces import Faces
 from jaxpoint.pointing.shapes.shape import AbstractShape, Field, Rows, angle, vector
 
@@ -31,6 +32,12 @@ class Box(AbstractShape):
                 faces.append((np.asarray(self.center, float) + (sign * out - right - down) / 2, right, down))
         corner, right, down = np.array(faces).transpose(1, 0, 2)
         return Faces, (corner, right, down, np.ones(6, bool))
+
+    def to_room(self, world: World) -> Box:
+        """Turned about the vertical the way that its world counts angles: from one level axis to the next."""
+        up = int(np.abs(world.matrix[:, 2]).argmax())
+        sense = world.matrix[up, 2] * (1.0 if world.right_handed else -1.0)
+        return Box(world.to_room(self.center), np.abs(world.to_room(self.size)), sense * self.yaw)
 
     @property
     def sides(self) -> tuple[float, ...]:

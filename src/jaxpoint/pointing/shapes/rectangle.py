@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.geometry.arrays import AnyArray
+from jaxpoint.geometry.world_axes import World
 from jaxpoint.pointing.shapes.faces import Faces
 from jaxpoint.pointing.shapes.shape import MIN_SIDE_M, AbstractShape, Field, Rows, points, too_small
 
@@ -27,6 +28,9 @@ class Rectangle(AbstractShape):
     def primitives(self) -> Rows:
         corner, right, down = flat_rectangle(self.corners)[0][:, None]
         return Faces, (corner, right, down, np.zeros(1, bool))
+
+    def to_room(self, world: World) -> Rectangle:
+        return Rectangle(world.to_room(self.corners))
 
     def fault(self) -> str | None:
         left_top, right_top, left_bottom, right_bottom = np.asarray(self.corners)

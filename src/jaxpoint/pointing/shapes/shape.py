@@ -10,6 +10,7 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from jaxtyping import Float
 
+from jaxpoint.geometry.world_axes import World
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
 
 MIN_SIDE_M = 0.001
@@ -100,6 +101,10 @@ class AbstractShape(abc.ABC):
     def fault(self) -> str | None:
         """What keeps rays from meeting it, such as "has a side of 0 mm; ...", with the remedy; None: nothing."""
         return too_small("side", min(self.sides))
+
+    def to_room(self, world: World) -> AbstractShape | None:
+        """It in the axes of the room, where it was described in those of another world; None: it cannot be."""
+        return None
 
     def doubt(self, name: str) -> str | None:
         """A sentence about what was probably measured wrong on the object of this name; None: nothing."""

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxpoint.geometry.arrays import safe_norm
 from jaxpoint.geometry.line import Ray, normalise
+from jaxpoint.geometry.world_axes import World
 from jaxpoint.pointing.mass import Edges, across
 from jaxpoint.pointing.shapes.polygon import angles_to, dot, flat_edges, in_frame, triple_product
 from jaxpoint.pointing.shapes.primitives import AbstractPrimitives
@@ -35,6 +36,9 @@ class Sphere(AbstractShape):
 
     def primitives(self) -> Rows:
         return Spheres, (np.asarray(self.center, float)[None], np.array([self.radius], float))
+
+    def to_room(self, world: World) -> Sphere:
+        return Sphere(world.to_room(self.center), self.radius)
 
     def fault(self) -> str | None:
         return too_small("radius", self.radius)
