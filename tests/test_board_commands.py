@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from jaxpoint.cli import main
+from jaxpoint.io.board_sources import open_board_sources
 from jaxpoint.io.exchange import read_calibration
-from jaxpoint.io.track_files import load_tracks
+from jaxpoint.io.track_files import load_tracks, read_tracks
 from jaxpoint.runs import read_run
 
 BOARD = ("--board", "chessboard:9x6:25mm")
@@ -190,3 +191,41 @@ def test_a_video_is_undistorted(stereo_run, images, tmp_path, capsys):
     capture = cv2.VideoCapture(str(tmp_path / "flat" / "left.mp4"))
     assert capture.get(cv2.CAP_PROP_FPS) == pytest.approx(25.0, abs=0.1)
     assert int(capture.get(cv2.CAP_PROP_FRAME_COUNT)) == 4
+
+
+CHARUCO = ("--board", "charuco:4x5:54mm:40.5mm:DICT_4X4_1000:inverted")
+
+
+def test_a_sessions_timestamps_say_which_frames_belong_together(data_folder, tmp_path):
+    """Corners as caliscope found them in the same videos, under its numbers of the moments."""
+    folder = data_folder / "caliscope_charuco4/calibration/extrinsic"
+    out = tmp_path / "tracks.npz"
+    assert main(["detect", "board", str(folder), *CHARUCO, "--every", "8", "--out", str(out)]) == 0
+    assert json.loads(out.with_suffix(".json").read_text())["paired_by"] == "timestamps.csv"
+    found, known = load_tracks(out), read_tracks(folder / "CHARUCO/xy_CHARUCO.csv")
+    rows = {key: i for i, key in enumerate(zip(known.frame_ids.tolist(), known.point_ids.tolist()))}
+    both = [
+        (i, rows[key]) for i, key in enumerate(zip(found.frame_ids.tolist(), found.point_ids.tolist())) if key in rows
+    ]
+    mine, theirs = np.array(both).T
+    seen = found.visible[mine] & known.visible[theirs]
+    away = np.linalg.norm(found.pixels[mine] - known.pixels[theirs], axis=-1)[seen]
+    assert seen.sum() > 200
+    assert np.median(away) < 0.5
+    assert np.quantile(away, 0.95) < 3.0  # the board moves by hundreds of pixels from one of these frames to the next
+
+
+def test_timestamps_may_be_given(data_folder, tmp_path):
+    """One camera that began a frame late: its image k is of moment k + 1."""
+    folder = data_folder / "caliscope_charuco4/calibration/extrinsic"
+    videos = [folder / "cam_0.mp4", folder / "cam_1.mp4"]
+    stamps = tmp_path / "timestamps.csv"
+    lines = [f"{k},{camera},{k - camera},{k / 6}" for k in range(57) for camera in (0, 1) if k >= camera]
+    stamps.write_text("\n".join(["sync_index,cam_id,frame_index,frame_time", *lines]))
+    pairing = open_board_sources(videos, timestamps=stamps).pairing
+    np.testing.assert_array_equal(pairing.index, np.stack([np.arange(57), np.arange(57) - 1], axis=1))
+    assert pairing.notes[0] == "Camera 'cam_1' has no image in 1 of 57 frames."
+    code = main(
+        ["detect", "board", str(videos[0]), *CHARUCO, "--timestamps", str(tmp_path / "no.csv"), "--out", "x.npz"]
+    )
+    assert code == 7

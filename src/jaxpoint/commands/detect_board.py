@@ -34,6 +34,9 @@ class DetectBoard(Options):
     board: str
     """chessboard:9x6:25mm (inner corners), charuco:7x5:40mm:30mm:DICT_4X4_50 (squares), aprilgrid:6x6:55mm:0.3 (tags),
     or a TOML file."""
+    timestamps: Path | None = None
+    """timestamps.csv of caliscope: which frames of the files belong together; by default that of a session that
+    has one."""
     every: Count = 0
     """Look at every so many frames; 0 takes all images, and of videos 300 frames at most."""
 
@@ -55,7 +58,8 @@ class DetectBoard(Options):
 
         out, board = self.needed_file("tracks.npz"), read_board(self.board)
         with console.progress() as progress:
-            detection = detect_board(open_board_sources(self.sources), board, every=self.every, progress=progress)
+            sources = open_board_sources(self.sources, timestamps=self.timestamps)
+            detection = detect_board(sources, board, every=self.every, progress=progress)
         save_tracks(out, detection.tracks)
         figures = detection_figures(detection, out)
         write_json(detection_summary(out), figures)

@@ -14,6 +14,8 @@ from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.images import IMAGE_SUFFIXES, ImageFolder
 from jaxpoint.io.pairing import Pairing, pair_frames
 from jaxpoint.io.session import recordings
+from jaxpoint.io.stamped_pairing import pair_by_timestamps
+from jaxpoint.io.timestamps import read_timestamps
 from jaxpoint.io.video import VideoFile, open_frames
 
 MOST_OF_A_VIDEO = 300  # frames, where nobody says how many
@@ -41,15 +43,23 @@ class BoardSources:
         return np.arange(0, rows, step)
 
 
-def open_board_sources(paths: Sequence[Path], names: Sequence[str] = ()) -> BoardSources:
+def open_board_sources(
+    paths: Sequence[Path], names: Sequence[str] = (), timestamps: Path | None = None
+) -> BoardSources:
     """The cameras behind some paths.
 
     Several image files are one camera; a folder of videos or of folders of images (or a session, with a folder
     `videos`) is one camera each; anything else is one camera: a folder of images, some of one (`folder/left*.jpg`), or
-    a video.
+    a video. Which frames belong together is said by `timestamps`, else by a file `timestamps.csv` in the one folder
+    that is given, else by numbers in names and time stamps of videos.
+
+    Args:
+        paths: as above.
+        names: of the cameras, in the order of the paths.
+        timestamps: a file as caliscope writes it, see `read_timestamps`.
 
     Raises:
-        FileFormatError: images or a video cannot be read.
+        FileFormatError: images, a video or the timestamps cannot be read.
         UsageError: nothing was given, or names that do not fit.
         InsufficientDataError: frames of several cameras do not say which belong together.
     """
@@ -60,12 +70,22 @@ def open_board_sources(paths: Sequence[Path], names: Sequence[str] = ()) -> Boar
         raise UsageError(f"{len(given)} cameras need as many names, not {len(names)}.")
     chosen = tuple(names) or tuple(given)
     sources = tuple(given.values())
-    pairing = _pairing(sources, chosen)
+    if timestamps is None and len(sources) > 1:
+        timestamps = _timestamps_in(paths)
+    pairing = _pairing(sources, chosen, timestamps)
     return BoardSources(chosen, tuple(source.path for source in sources), sources, pairing)
 
 
-def _pairing(sources: Sequence[FrameSource], names: Sequence[str]) -> Pairing:
+def _timestamps_in(paths: Sequence[Path]) -> Path | None:
+    """The timestamps of a session, or of a folder of videos."""
+    beside = Path(paths[0]) / "timestamps.csv"
+    return beside if len(paths) == 1 and beside.is_file() else None
+
+
+def _pairing(sources: Sequence[FrameSource], names: Sequence[str], timestamps: Path | None) -> Pairing:
     """Which frames belong together; of one camera each is alone."""
+    if timestamps is not None:
+        return pair_by_timestamps(read_timestamps(timestamps).select(names), sources)
     if len(sources) > 1:
         return pair_frames(sources, names, remedy="number the images of all cameras alike")
     only = sources[0]

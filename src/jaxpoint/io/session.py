@@ -29,7 +29,8 @@ from jaxpoint.io.frames import FrameSource
 from jaxpoint.io.images import IMAGE_SUFFIXES, VIDEO_SUFFIXES
 from jaxpoint.io.pairing import pair_frames
 from jaxpoint.io.rig_entries import needs_metres
-from jaxpoint.io.timestamps import Timestamps, read_timestamps
+from jaxpoint.io.stamped_pairing import pair_by_timestamps
+from jaxpoint.io.timestamps import read_timestamps
 from jaxpoint.io.video import open_frames
 
 MASKS = "masks"  # folder of one image a camera, which is no camera itself
@@ -97,11 +98,7 @@ def open_session(folder: Path, calibration: Path | None = None, unit: str | None
     sources = [open_frames(videos[name]) for name in names]
     sizes = np.array([source.size for source in sources])
     stamps = folder / "timestamps.csv"
-    frames, times, index, notes = (
-        _stamped(read_timestamps(stamps).select(names), sources, names)
-        if stamps.is_file()
-        else _matched(sources, names)
-    )
+    frames, times, index, notes = _stamped(stamps, sources, names) if stamps.is_file() else _matched(sources, names)
     path = calibration or (folder / "calibration.json")
     rig = _rig(path, names, sizes, unit) if calibration is not None or path.is_file() else None
     empty = recordings(folder / "empty")
@@ -163,39 +160,11 @@ def _rig(path: Path, names: tuple[str, ...], sizes: np.ndarray, unit: str | None
     return rig
 
 
-def _stamped(stamps: Timestamps, sources: list[FrameSource], names: tuple[str, ...]):
-    """Frames as the timestamps have them; images beyond the end of a video are absent."""
-    index = stamps.frame_index.copy()
-    notes = []
-    for camera, source in enumerate(sources):
-        beyond = index[:, camera] >= len(source)
-        if beyond.any():
-            notes.append(
-                f"Camera '{names[camera]}' stops early, with no image in {beyond.sum()} of {len(index)} frames."
-            )
-            index[beyond, camera] = -1
-        dropped = int((stamps.frame_index[:, camera] < 0).sum())
-        if dropped:
-            notes.append(f"Camera '{names[camera]}' has no image in {dropped} of {len(index)} frames.")
-    return stamps.sync_indices, stamps.times, index, notes + _drifts(stamps, names)
-
-
-def _drifts(stamps: Timestamps, names: tuple[str, ...]) -> list[str]:
-    """Cameras whose clock leaves the others' by more than half a frame over the recording."""
-    times = np.where(stamps.present, stamps.frame_time, np.nan)
-    common = np.nanmedian(times, axis=1)
-    period = float(np.median(np.diff(common))) if len(common) > 1 else 0.0
-    notes = []
-    for camera, name in enumerate(names):
-        off = times[:, camera] - common
-        held = np.isfinite(off)
-        if held.sum() < 10:
-            continue
-        rate = np.polyfit(common[held], off[held], 1)[0]
-        drift = rate * (common[-1] - common[0])
-        if abs(drift) > period / 2:
-            notes.append(f"The clock of camera '{name}' drifts by {1e3 * drift:+.0f} ms over the recording.")
-    return notes
+def _stamped(stamps: Path, sources: list[FrameSource], names: tuple[str, ...]):
+    """Frames as the timestamps have them."""
+    timestamps = read_timestamps(stamps).select(names)
+    pairing = pair_by_timestamps(timestamps, sources)
+    return pairing.frame_ids, timestamps.times, pairing.index, list(pairing.notes)
 
 
 def _matched(sources: list[FrameSource], names: tuple[str, ...]):
