@@ -16,11 +16,11 @@ from jaxpoint.cli import parse
 from jaxpoint.config import RoomConfig, load_config
 from jaxpoint.detection import PeopleRequest, detect_people, unregister_detector
 from jaxpoint.geometry.line import Ray
-from jaxpoint.io import FORMATS, read_calibration, write_calibration
+from jaxpoint.io import FORMATS, TRACK_FORMATS, read_calibration, write_calibration
 from jaxpoint.io.calibration import read_calibration_json
 from jaxpoint.io.object_files import parse_objects
 from jaxpoint.io.session import open_session
-from jaxpoint.io.track_files import save_tracks
+from jaxpoint.io.track_files import read_tracks, save_tracks
 from jaxpoint.pointing.hits import intersect
 from jaxpoint.pointing.objects import Objects, Thing
 from jaxpoint.pointing.pointing_line import PointingLine
@@ -102,7 +102,7 @@ def test_the_readme_is_short():
 def test_every_python_block_has_a_test_here_or_is_known_to_need_none():
     shown = {(page, number) for page in PAGES for number, _ in enumerate(blocks(page, "python"))}
     run = {("README.md", 0), ("docs/guides/derivatives.md", 0), ("docs/guides/objects.md", 0)}
-    run |= {("docs/extend.md", number) for number in range(5)} | {("docs/reference/exchange.md", 0)}
+    run |= {("docs/extend.md", number) for number in range(6)} | {("docs/reference/exchange.md", 0)}
     pages = ("docs/guides/uncertainty.md", "docs/guides/clusters.md", "docs/guides/boards.md")
     imported = {(page, 0) for page in pages}  # by tests/test_public.py
     assert shown == run | imported
@@ -162,6 +162,17 @@ def test_the_formats_shown_are_read_and_written(tmp_path, monkeypatch):
     exec(blocks("docs/reference/exchange.md", "python")[0], names)
     assert names["to_mrcal"]("calibration.json") == ()
     assert len(list((tmp_path / "models").glob("*.cameramodel"))) == len(rig)
+
+
+def test_the_format_of_tracks_shown_is_read(tmp_path):
+    for name in ("left", "right"):
+        (tmp_path / f"{name}.txt").write_text("my wings\n0 10 20\n2 30 40\n")
+    try:
+        exec(blocks("docs/extend.md", "python")[5], {})
+        tracks = read_tracks(tmp_path, image_sizes=(640, 480))
+        assert (tracks.names, tracks.point_names, tracks.frame_ids.tolist()) == (("left", "right"), ("tip",), [0, 2])
+    finally:
+        TRACK_FORMATS.pop("wings", None)
 
 
 def two_cameras() -> CameraRig:
