@@ -15,8 +15,8 @@ from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknown
 from jaxpoint.calibration.target_blocks import TargetRows, seen_targets, target_rows, with_solved
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.lenses import lens_of_choice
-from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, chosen_coefficients, size_of
+from jaxpoint.camera.lenses import LensChoice, chosen_lenses
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, size_of
 from jaxpoint.compilation import jit
 from jaxpoint.config import LensSettings
 from jaxpoint.tracks import Tracks
@@ -34,6 +34,7 @@ class Recording:
     frames: int
     cameras: int
     pixel_aspects: np.ndarray  # (D,) width over height of a pixel; 1 where nothing states another
+    names: tuple[str, ...]  # of the cameras
     targets: tuple[TargetRows, ...] = ()
     known: np.ndarray | None = None  # (N, 3) m, where the room says that points lie,
     known_sigmas: np.ndarray | None = None  # (N,) m, and how sure it is; infinite where it says nothing
@@ -52,7 +53,7 @@ class Recording:
         visible[: tracks.frames, : tracks.cameras] = tracks.visible
         sizes[: tracks.cameras] = tracks.image_sizes
         targets = tuple(target_rows(tracks, number) for number in range(len(tracks.targets)))
-        plain = Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects, targets)
+        plain = Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects, tracks.names, targets)
         if tracks.prior is None:
             return plain
         known, sigmas = np.zeros((frames, 3)), np.full(frames, np.inf)
@@ -103,10 +104,9 @@ class RigState:
         return replace(self, cameras=cameras, base=self.rotation)
 
 
-def free_parameters(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> np.ndarray:
+def free_parameters(recording: Recording, lens: LensSettings, choice: LensChoice, hold: bool = False) -> np.ndarray:
     """Which parameters of each camera move, (D, p) bool."""
-    model, names = lens_of_choice(distortion)
-    free = np.zeros((recording.image_sizes.shape[0], size_of(model)), dtype=bool)
+    free = np.zeros((recording.image_sizes.shape[0], size_of(choice.model)), dtype=bool)
     free[: recording.cameras, POSE] = True
     if hold:
         return free
@@ -114,7 +114,7 @@ def free_parameters(recording: Recording, lens: LensSettings, distortion: str, h
     real[:, FOCAL] = True
     real[:, ASPECT] = lens.aspect == "free"
     real[:, CENTER] = lens.principal_point != "fixed"
-    real[:, COEFFICIENTS] = chosen_coefficients(model, names)
+    real[:, COEFFICIENTS] = choice.free
     return free
 
 
@@ -122,17 +122,17 @@ NOISE_PX = 0.5  # assumed when priors are weighed against pixels
 SIGMA_ASPECT = 0.3  # of a log aspect
 
 
-def priors(recording: Recording, lens: LensSettings, model: type[AbstractLens]) -> tuple[np.ndarray, np.ndarray]:
+def priors(recording: Recording, lens: LensSettings, choice: LensChoice) -> tuple[np.ndarray, np.ndarray]:
     """Prior mean and weight (px^2 per unit^2) of the parameters of each camera, (D, p) each."""
-    shape = (recording.image_sizes.shape[0], size_of(model))
+    shape = (recording.image_sizes.shape[0], size_of(choice.model))
     mean, sigma = np.zeros(shape), np.full(shape, np.inf)
     mean[:, CENTER] = (recording.image_sizes - 1) / 2.0
     mean[:, ASPECT] = -np.log(recording.pixel_aspects)  # of fx / fy
     if lens.principal_point == "prior":
         sigma[:, CENTER] = lens.principal_point_sigma * recording.image_sizes[:, :1]
     sigma[:, ASPECT] = SIGMA_ASPECT
-    mean[:, COEFFICIENTS] = [coefficient.prior_mean for coefficient in model.coefficients]
-    sigma[:, COEFFICIENTS] = [coefficient.prior_sigma for coefficient in model.coefficients]
+    mean[: recording.cameras, COEFFICIENTS] = choice.mean
+    sigma[:, COEFFICIENTS] = [coefficient.prior_sigma for coefficient in choice.model.coefficients]
     return mean, (NOISE_PX / sigma) ** 2
 
 
@@ -151,10 +151,11 @@ class Freedom:
     noise_px: float = NOISE_PX  # of the pixels that the priors are weighed against
 
     @staticmethod
-    def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
-        """The freedom that the settings ask for."""
-        model, _ = lens_of_choice(distortion)
-        return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens, model))
+    def of(recording: Recording, lens: LensSettings, choice: LensChoice | str, hold: bool = False) -> Freedom:
+        """The freedom that the settings ask for, with these lenses (see `lenses.chosen_lenses`)."""
+        if isinstance(choice, str):
+            choice = chosen_lenses(choice, recording.names)
+        return Freedom(free_parameters(recording, lens, choice, hold), *priors(recording, lens, choice))
 
     def around(self, recording: Recording, lenses: np.ndarray, model: type[AbstractLens]) -> Freedom:
         """The same freedom, drawn to known lenses (C, p - 6), see `camera.parameters.adjusted_lenses`."""
