@@ -109,7 +109,7 @@ class _Solver:
         solutions = [self._solve(choice, starts) for choice in self._choices(starts)]
         best, stages = solutions[0]
         for other, others in solutions[1:]:
-            more = int(other.freedom.free.sum()) - int(best.freedom.free.sum())
+            more = other.freedom.parameters - best.freedom.parameters
             if better_by(other, best) > WORTH * more:
                 best, stages = other, others
         clock.append(time.perf_counter())
@@ -187,7 +187,8 @@ class _Solver:
         """One camera by itself."""
         self.progress("each camera by itself", camera, self.tracks.cameras)
         alone = Recording.of(self.tracks.select_cameras([camera]))
-        free, mean, weight = (_first_of(part, camera, len(alone.image_sizes)) for part in _parts(freedom))
+        owner = camera if freedom.owner is None else int(freedom.owner[camera])  # it alone has the lens's priors
+        free, mean, weight = (_first_of(part, owner, len(alone.image_sizes)) for part in _parts(freedom))
         own = Freedom(free, mean, weight)
         known = None if self.intrinsics is None else adjusted_lenses(self.intrinsics)[camera]
         start = None
@@ -238,7 +239,7 @@ def board_freedom(
     if not hold and lens.aspect == "auto":
         free[: recording.cameras, ASPECT] = True
     weight[:, ASPECT] = (NOISE_PX / SQUARE) ** 2
-    return replace(freedom, free=free, prior_weight=weight)
+    return replace(freedom, free=free, prior_weight=weight).with_shared_priors()
 
 
 def in_camera_frame(calibration: Calibration, camera: int = 0) -> Calibration:

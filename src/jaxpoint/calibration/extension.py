@@ -69,7 +69,8 @@ def extend_calibration(
         moved: cameras to be found again.
 
     Raises:
-        UsageError: a camera in `moved` is not known, nothing is to be found, or image sizes are others.
+        UsageError: a camera in `moved` is not known, nothing is to be found, image sizes are others, or lenses are to
+            be shared.
         InsufficientDataError: fewer than two cameras stay, or a camera shares too little with them.
     """
     with jax.enable_x64(True):
@@ -78,6 +79,8 @@ def extend_calibration(
 
 def _extend(tracks: Tracks, known: Calibration, settings: CalibrateSettings, moved: Sequence[str]) -> Calibration:
     begin = time.perf_counter()
+    if settings.lens.shared:
+        raise UsageError("A calibrated room keeps its lenses; leave out --lens.shared, or calibrate anew.")
     parts = _parts(tracks, known, moved)
     recording, light = Recording.of(tracks), _light(tracks, known.rig, parts.stay)
     state, found = _start(tracks, recording, parts, light, settings)

@@ -70,7 +70,7 @@ def _choose_fisheye(
     """The fisheye model for all cameras where it lowers the objective over all observations."""
     freedom = fisheye_freedom(recording, solution.freedom, settings)
     trial = solve_with(recording, as_fisheye(recording, solution.state), freedom, settings.outliers)
-    more = int(freedom.free.sum()) - int(solution.freedom.free.sum())
+    more = freedom.parameters - solution.freedom.parameters
     gain = better_by(trial, solution)
     figures = {
         "fall_of_the_objective": float(gain),
@@ -92,7 +92,7 @@ def fisheye_freedom(recording: Recording, freedom: Freedom, settings: CalibrateS
     common = slice(0, COEFFICIENTS.start)
     for new, old in ((free, freedom.free), (mean, freedom.prior_mean), (weight, freedom.prior_weight)):
         new[:, common] = old[:, common]
-    return Freedom(free, mean, weight)
+    return replace(freedom, free=free, prior_mean=mean, prior_weight=weight).with_shared_priors()
 
 
 def first_lens_again(
@@ -111,11 +111,11 @@ def first_lens_again(
     now = chosen.freedom.free, chosen.freedom.prior_mean, chosen.freedom.prior_weight
     for part, own in zip(parts, now):
         part[:, common] = own[:, common]
-    freedom = Freedom(parts[0], parts[1], parts[2])
+    freedom = replace(chosen.freedom, free=parts[0], prior_mean=parts[1], prior_weight=parts[2])
     used = np.asarray(np.any(freedom.free[recording.exists, COEFFICIENTS], axis=0))
     state = with_lens(recording, chosen.state, first.state.lens, used)
     trial = solve_with(recording, state, freedom, settings.outliers)
-    fewer = int(chosen.freedom.free.sum()) - int(freedom.free.sum())
+    fewer = chosen.freedom.parameters - freedom.parameters
     gain = better_by(trial, chosen)
     back = gain > -WORTH * max(fewer, 1)
     figures = {"chosen": "the first again" if back else "as before", "fall_of_the_objective": float(gain)}

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from jaxpoint.calibration.adjustment import PointPriors
 from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, padded_frames, solve, to_blocks
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
+from jaxpoint.calibration.shared_lenses import lens_owners, places_of, with_common_lenses
 from jaxpoint.calibration.target_blocks import TargetRows, seen_targets, target_rows, with_solved
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
@@ -149,13 +150,16 @@ class Freedom:
     prior_mean: np.ndarray  # (D, p)
     prior_weight: np.ndarray  # (D, p)
     noise_px: float = NOISE_PX  # of the pixels that the priors are weighed against
+    owner: np.ndarray | None = None  # (D,) the camera that owns the lens of each camera; None where all have their own
 
     @staticmethod
     def of(recording: Recording, lens: LensSettings, choice: LensChoice | str, hold: bool = False) -> Freedom:
         """The freedom that the settings ask for, with these lenses (see `lenses.chosen_lenses`)."""
         if isinstance(choice, str):
             choice = chosen_lenses(choice, recording.names)
-        return Freedom(free_parameters(recording, lens, choice, hold), *priors(recording, lens, choice))
+        owner = lens_owners(lens.shared, recording.names, recording.image_sizes)
+        freedom = Freedom(free_parameters(recording, lens, choice, hold), *priors(recording, lens, choice), owner=owner)
+        return freedom.with_shared_priors()
 
     def around(self, recording: Recording, lenses: np.ndarray, model: type[AbstractLens]) -> Freedom:
         """The same freedom, drawn to known lenses (C, p - 6), see `camera.parameters.adjusted_lenses`."""
@@ -165,7 +169,23 @@ class Freedom:
         sigma[:, 2:4] *= recording.image_sizes[: recording.cameras, :1]
         mean[: recording.cameras, FOCAL:] = lenses
         weight[: recording.cameras, FOCAL:] = (NOISE_PX / sigma) ** 2
-        return replace(self, prior_mean=mean, prior_weight=weight)
+        return replace(self, prior_mean=mean, prior_weight=weight).with_shared_priors()
+
+    @property
+    def parameters(self) -> int:
+        """How many parameters move, each of a shared lens once."""
+        return int((self.free & ~self._borrowed).sum())
+
+    @property
+    def _borrowed(self) -> np.ndarray:
+        """(D, p) parameters that another camera owns."""
+        return places_of(self.owner, *self.free.shape) != places_of(None, *self.free.shape)
+
+    def with_shared_priors(self) -> Freedom:
+        """The same freedom, with one prior for each shared lens: its owner's."""
+        if self.owner is None:
+            return self
+        return replace(self, prior_weight=np.where(self._borrowed, 0.0, self.prior_weight))
 
     def at_noise(self, sigma_px: float) -> Freedom:
         """The priors weighed against pixels of this noise."""
@@ -198,6 +218,7 @@ def adjust(
 ) -> Solved:
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()
+    state = replace(state, cameras=with_common_lenses(state.cameras, freedom.owner))
     problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
     # Of a large rig the products dominate; of a small one another compilation would.
     held = tuple(np.flatnonzero(~freedom.free.any(axis=0)).tolist()) if recording.cameras >= LARGE_RIG else ()
@@ -235,6 +256,7 @@ def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, ste
         jnp.asarray(steps),
         _point_priors(recording, state, freedom.noise_px),
         targets,
+        None if freedom.owner is None else jnp.asarray(places_of(freedom.owner, *freedom.free.shape)),
     )
     return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)), poses)
 

@@ -24,6 +24,7 @@ from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.recording import Recording
 from jaxpoint.calibration.refinement import Refinement, first_lenses, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.calibration.shared_lenses import groups_without, lens_owners
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.brown import Brown
@@ -78,6 +79,7 @@ def calibrate(
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
     first_lenses(settings, intrinsics, tracks.names)  # refuses a wrong setting before anything is computed
+    lens_owners(settings.lens.shared, tracks.names, tracks.image_sizes)
     if settings.init == "boards" or (settings.init == "auto" and tracks.cameras <= 2 and boards_alone(tracks)):
         return calibrate_boards(tracks, settings, intrinsics=intrinsics, progress=progress)
     with jax.enable_x64(True):
@@ -115,7 +117,9 @@ def _solve_without(
     """The calibration of the other cameras, which says why this one was left out; None where they do not suffice."""
     rest = [other for other in range(tracks.cameras) if other != camera]
     fewer = None if intrinsics is None else intrinsics.select(rest)
-    lens = replace(settings.lens, distortion=setting_without(settings.lens.distortion, tracks.names[camera]))
+    name, lens = tracks.names[camera], settings.lens
+    shared = groups_without(lens.shared, name)
+    lens = replace(lens, distortion=setting_without(lens.distortion, name), shared=shared)
     settings = replace(settings, lens=lens)
     try:
         others = _solve_consistently(tracks.select_cameras(rest), settings, fewer, progress)
