@@ -8,6 +8,10 @@ of the targets (summary.md, summary.json). Rows that exist are not run again: st
 
     python experiments/random_rooms.py --seeds 0 200 --out rooms
     python experiments/random_rooms.py --seeds 0 60 --out rooms_factorisation --init factorisation
+    python experiments/random_rooms.py --seeds 0 200 --rooms wide --out wide_rooms
+
+`--rooms wide` draws lenses of 100 to 190 degrees, alone or among ordinary ones (`wide_rooms.py`); the reference sees
+through fisheye lenses then.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, TypeAlias
 
 import jax
 import msgspec
@@ -43,7 +47,9 @@ from jaxpoint.camera.parameters import CENTER, FOCAL, size_of
 from jaxpoint.config import CalibrateSettings, to_toml
 from jaxpoint.errors import JaxpointError, UsageError
 from jaxpoint.simulate.rooms import RandomRoom, random_room
+from wide_rooms import WideRoom, true_fisheye_state, wide_room
 
+Room: TypeAlias = RandomRoom | WideRoom
 COST_MARGIN = 1.01  # of the reference's cost
 CENTRE_MARGIN = 3.0  # of the reference's error
 
@@ -61,7 +67,9 @@ class RandomRooms:
     frames: int = 300
     """Positions of the light in every room."""
     cameras: int | None = None
-    """Cameras of every room; drawn from 3 to 12 if not given."""
+    """Cameras of every room; drawn if not given."""
+    rooms: Literal["ordinary", "wide"] = "ordinary"
+    """Ordinary lenses, or some of 100 to 190 degrees."""
     settings: Annotated[CalibrateSettings, tyro.conf.arg(name="")] = field(default_factory=CalibrateSettings)
     """Settings of the calibration, as under [calibrate] in a configuration file."""
 
@@ -72,7 +80,7 @@ class Row:
 
     seed: int
     cameras: int
-    layout: str
+    layout: str  # where ordinary cameras stand; of wide ones law and angle (degrees) of each lens
     visibility: float
     noise_px: float
     outlier_share: float
@@ -126,7 +134,9 @@ def main(options: RandomRooms) -> None:
 def check_same(options: RandomRooms) -> None:
     """Leave word of how the rows are made, or refuse to mix them with others."""
     path = options.out / "config.toml"
-    text = f"frames = {options.frames}\ncameras = {options.cameras or 0}\n\n[settings]\n{to_toml(options.settings)}"
+    kind = "" if options.rooms == "ordinary" else f'rooms = "{options.rooms}"\n'
+    text = f"frames = {options.frames}\ncameras = {options.cameras or 0}\n{kind}\n"
+    text += f"[settings]\n{to_toml(options.settings)}"
     if path.exists() and path.read_text() != text:
         raise UsageError(f"'{path}' shows that the rows there were made with other settings; give another --out.")
     path.write_text(text)
@@ -151,7 +161,7 @@ def solved_rooms(options: RandomRooms, seeds: list[int]) -> Iterator[Row]:
 
 def shared_out(options: RandomRooms, seeds: list[int]) -> list[list[int]]:
     """The seeds of every worker: rooms of as many cameras go to the same one, the largest to the least busy."""
-    drawn = [(random_room(s, cameras=options.cameras, frames=options.frames).tracks.cameras, s) for s in seeds]
+    drawn = [(drawn_room(seed, options).tracks.cameras, seed) for seed in seeds]
     shares: list[list[int]] = [[] for _ in range(options.workers)]
     load = [0] * options.workers
     for cameras in sorted({count for count, _ in drawn}, reverse=True):
@@ -166,9 +176,16 @@ def _leave_interrupts_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+def drawn_room(seed: int, options: RandomRooms) -> Room:
+    """The room of a seed."""
+    if options.rooms == "wide":
+        return wide_room(seed, cameras=options.cameras, frames=options.frames)
+    return random_room(seed, cameras=options.cameras, frames=options.frames)
+
+
 def solved_room(seed: int, options: RandomRooms) -> Row:
     """Calibrate one room and hold it against the reference."""
-    room = random_room(seed, cameras=options.cameras, frames=options.frames)
+    room = drawn_room(seed, options)
     started = time.perf_counter()
     try:
         solved = calibrate(room.tracks, options.settings)
@@ -203,13 +220,17 @@ def elapsed(started: float) -> float:
     return time.perf_counter() - started
 
 
-def drawn_figures(room: RandomRoom, seed: int) -> dict:
+def drawn_figures(room: Room, seed: int) -> dict:
     """What the room is like."""
     visible = room.tracks.visible
+    if isinstance(room, WideRoom):
+        layout = room.lens_angles
+    else:
+        layout = "wall" if np.ptp(room.positions[:, 1]) < 1e-6 else "around"
     return {
         "seed": seed,
         "cameras": room.tracks.cameras,
-        "layout": "wall" if np.ptp(room.positions[:, 1]) < 1e-6 else "around",
+        "layout": layout,
         "visibility": float(visible.mean()),
         "noise_px": room.noise_px,
         "outlier_share": float(room.is_outlier.sum() / visible.sum()),
@@ -229,7 +250,7 @@ def stage_figures(solved: Calibration, reference_cost: float) -> dict:
     }
 
 
-def outlier_figures(room: RandomRoom, solved: Calibration) -> dict[str, int]:
+def outlier_figures(room: Room, solved: Calibration) -> dict[str, int]:
     """Gross outliers found and good observations lost, of those that two other good views of the frame can test."""
     good = room.tracks.visible & ~room.is_outlier
     views = good.sum(axis=1, keepdims=True)
@@ -242,13 +263,15 @@ def outlier_figures(room: RandomRoom, solved: Calibration) -> dict[str, int]:
     }
 
 
-def reference(room: RandomRoom, settings: CalibrateSettings) -> Settled:
+def reference(room: Room, settings: CalibrateSettings) -> Settled:
     """The last stage of the calibration, started from the truth."""
     recording = Recording.of(room.tracks)
-    distortion = "radial2" if settings.lens.distortion == "auto" else settings.lens.distortion
+    first = "radial2" if isinstance(room, RandomRoom) else "fisheye"
+    distortion = first if settings.lens.distortion == "auto" else settings.lens.distortion
+    start = true_state(room, recording) if isinstance(room, RandomRoom) else true_fisheye_state(room, recording)
     freedom = Freedom.of(recording, settings.lens, distortion)
     return refine_to_convergence(
-        recording, refine_coarse_to_fine(recording, true_state(room, recording), freedom), freedom, settings.outliers
+        recording, refine_coarse_to_fine(recording, start, freedom), freedom, settings.outliers
     )
 
 
@@ -266,7 +289,7 @@ def true_state(room: RandomRoom, recording: Recording) -> RigState:
     return centre_rig(RigState(numbers, base, points), recording.visible, count)
 
 
-def centre_error(room: RandomRoom, centres: np.ndarray, points: np.ndarray, placed: np.ndarray) -> tuple[float, bool]:
+def centre_error(room: Room, centres: np.ndarray, points: np.ndarray, placed: np.ndarray) -> tuple[float, bool]:
     """Rms of the camera centres (mm) after similarity, and whether cameras and light fit better as a mirror image."""
     source = np.concatenate([centres, np.where(placed[:, None], points, 0.0)])
     target = np.concatenate([room.positions, room.points])

@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxpoint.calibration.quality import Quality
 from jaxpoint.calibration.result import Calibration, Verdict
+from jaxpoint.camera.mixed import own_coefficients
 
 
 def metrics(
@@ -68,6 +69,7 @@ def _verdict(quality: Quality) -> dict[str, Any]:
 def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
     cameras = calibration.rig.cameras
     focal, center = np.asarray(cameras.focal), np.asarray(cameras.center)
+    models, kind = calibration.rig.lens_models, type(cameras.lens)
     coefficients = np.asarray(cameras.distortion)
     kept, visible = calibration.kept, calibration.tracks.visible
     return [
@@ -75,8 +77,8 @@ def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
             "name": name,
             "focal_px": _numbers(focal[c]),
             "center_px": _numbers(center[c]),
-            "lens": type(cameras.lens).name,
-            "distortion": _numbers(coefficients[c]),
+            "lens": models[c].name,
+            "distortion": _numbers(coefficients[c][own_coefficients(kind, models[c])]),
             "used": int(kept[:, c].sum()),
             "total": int(visible[:, c].sum()),
         }

@@ -13,8 +13,11 @@ from jaxpoint import CalibrateSettings, CameraRig, Tracks, calibrate, triangulat
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.difference import difference
 from jaxpoint.calibration.quality import assess
+from jaxpoint.camera.camera import Camera
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.lens import AbstractLens, Coefficient
 from jaxpoint.camera.lenses import LENSES, register_lens
+from jaxpoint.camera.mixed import plain_lens
 from jaxpoint.config import LensSettings
 from jaxpoint.io.calibration import write_calibration_json
 from jaxpoint.io.exchange import read_calibration
@@ -58,6 +61,9 @@ class FieldOfView(AbstractLens):
         return direction[2] > 0
 
 
+LIGHT = np.random.default_rng(3).uniform([-1.4, -1.4, 0.0], [1.4, 1.4, 2.0], (400, 3))
+
+
 @pytest.fixture(scope="module")
 def registered():
     register_lens(FieldOfView)
@@ -82,8 +88,7 @@ def room(registered):
         rng.uniform(0.75, 0.9, (count, 1)), rotation, -np.einsum("cij,cj->ci", rotation, centres),
         np.tile([1280, 960], (count, 1)), lens=FieldOfView,
     )  # fmt: skip
-    light = rng.uniform([-1.4, -1.4, 0.0], [1.4, 1.4, 2.0], (400, 3))
-    pixels = np.asarray(rig.project(light)) + rng.normal(0, 0.3, (400, count, 2))
+    pixels = np.asarray(rig.project(LIGHT)) + rng.normal(0, 0.3, (400, count, 2))
     inside = ((pixels > 0) & (pixels < [1279, 959])).all(axis=-1)
     return rig, Tracks.from_pixels(pixels, np.tile([1280, 960], (count, 1)), inside)
 
@@ -113,3 +118,27 @@ def test_it_is_calibrated_compared_written_and_shown(room, tmp_path):
     np.testing.assert_allclose(*points, atol=1e-9)
     write_report(tmp_path / "report.html", found, settings=settings)
     assert (tmp_path / "report.html").stat().st_size > 1e5
+
+
+@pytest.mark.usefixtures("registered")
+def test_lenses_of_two_kinds_are_calibrated_in_one_rig(room, tmp_path):
+    """The same room with two fisheyes that see what the plane does not show."""
+    rig, tracks = room
+    fisheye = KannalaBrandt.of(0.6 * rig.cameras.focal, rig.cameras.center, np.tile([-0.02, 0.01, -0.004, 0.0], (4, 1)))
+    seen = np.asarray(replace(rig, cameras=Camera(fisheye, rig.cameras.cam_from_world)).project(LIGHT))
+    pixels, visible = tracks.pixels.copy(), tracks.visible.copy()
+    pixels[:, :2] = seen[:, :2] + np.random.default_rng(5).normal(0, 0.3, (400, 2, 2))
+    visible[:, :2] = ((pixels[:, :2] > 0) & (pixels[:, :2] < [1279, 959])).all(axis=-1)
+    settings = CalibrateSettings(lens=LensSettings(distortion="fisheye,cam_2=fov,cam_3=fov"))
+    found = with_covariance(calibrate(replace(tracks, pixels=pixels, visible=visible), settings))
+    assert found.rig.lens_models == (KannalaBrandt, KannalaBrandt, FieldOfView, FieldOfView)
+    assert assess(found, settings).passed
+    lenses = [plain_lens(camera.lens) for camera in found.rig]
+    np.testing.assert_allclose(
+        [lens.focal[0] for lens in lenses[:2]], 0.6 * np.asarray(rig.cameras.focal)[:2, 0], rtol=0.01
+    )
+    np.testing.assert_allclose([lens.focal[0] for lens in lenses[2:]], np.asarray(rig.cameras.focal)[2:, 0], rtol=0.02)
+    sigmas = np.sqrt(np.diagonal(found.camera_covariance)).reshape(4, -1)
+    assert sigmas[:, 10].tolist() == [0.0] * 4  # which model it is
+    write_report(tmp_path / "report.html", found, settings=settings)
+    assert "fisheye: " in (tmp_path / "report.html").read_text()

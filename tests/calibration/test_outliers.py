@@ -54,7 +54,7 @@ def clean(noisy):
     visible = noisy.recording.visible.copy()
     visible[:300] &= ~noisy.room.is_outlier
     given = noisy.recording
-    recording = Recording(given.pixels.copy(), visible, given.image_sizes, 300, 4, given.pixel_aspects)
+    recording = Recording(given.pixels.copy(), visible, given.image_sizes, 300, 4, given.pixel_aspects, given.names)
     return recording, np.flatnonzero(visible.sum(axis=1) == 4)
 
 

@@ -105,7 +105,7 @@ def test_hidden_observations_never_matter(small, solved):
     wild = rng.choice([np.nan, np.inf, -np.inf, 1e30], recording.pixels.shape)
     spoilt = Recording(
         np.where(kept[..., None], recording.pixels, wild), kept, recording.image_sizes, recording.frames, 4,
-        recording.pixel_aspects,
+        recording.pixel_aspects, recording.names,
     )  # fmt: skip
     again = adjust(spoilt, start, kept, freedom, loss_scale=LOSS, rtol=1e-10, steps=300)
     assert again.cost == solved.cost
@@ -117,7 +117,7 @@ def test_the_order_of_cameras_never_matters(small, solved):
     order = np.array([2, 0, 3, 1])
     turned = Recording(
         recording.pixels[:, order], recording.visible[:, order], recording.image_sizes[order], recording.frames, 4,
-        recording.pixel_aspects[order],
+        recording.pixel_aspects[order], tuple(recording.names[i] for i in order),
     )  # fmt: skip
     begin = RigState(start.cameras[order], start.base[order], start.points)
     free = Freedom(freedom.free[order], freedom.prior_mean[order], freedom.prior_weight[order])

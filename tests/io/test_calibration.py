@@ -267,5 +267,12 @@ def test_models_that_differ_become_one_where_one_has_both(tmp_path):
     np.testing.assert_allclose(rig.project(ROOM.points[:20])[:, 0], ROOM.rig.project(ROOM.points[:20])[:, 0], atol=1e-9)
     content["cam_1"] |= {"fisheye": True, "distortions": [0.1, 0.0, 0.0, 0.0]}
     file.write_text(tomli_w.dumps(content))
-    with pytest.raises(FileFormatError, match=r"mixes lens models .*\(brown, kannala_brandt\); calibrate all"):
-        read_calibration(file)
+    content["cam_0"]["distortions"] = [0.1, 0.02, 0.0, 0.0, 0.01, 0.3, 0.04, 0.02]
+    file.write_text(tomli_w.dumps(content))
+    mixed = read_calibration(file).rig
+    assert mixed.lens_models[:3] == (Rational, KannalaBrandt, Brown)
+    np.testing.assert_allclose(mixed[2].project(ROOM.points[:20]), ROOM.rig[2].project(ROOM.points[:20]), atol=1e-9)
+    write_calibration_json(tmp_path / "mixed.json", mixed)
+    again = read_calibration(tmp_path / "mixed.json").rig
+    assert again.lens_models == mixed.lens_models
+    np.testing.assert_allclose(again.project(ROOM.points[:20]), mixed.project(ROOM.points[:20]), atol=1e-9)

@@ -51,6 +51,7 @@ class Problem(eqx.Module):
     step_limit: Int[Array, ""]  # stop after this many steps, without recompiling
     point_priors: PointPriors | None = None
     targets: tuple[SeenTarget, ...] = ()  # those whose poses are unknowns
+    owner: Int[Array, "C p"] | None = None  # flat place of the parameter that each one equals; None: all are their own
 
 
 class AbstractModel(eqx.Module):

@@ -57,7 +57,7 @@ def assemble_calibration(
         message=_message(settled, explained),
         pairs=pairs,
         seed=settings.seed,
-        freedom=Freedom(free, mean, weight),
+        freedom=Freedom(free, mean, weight, owner=None if freedom.owner is None else freedom.owner[:cameras]),
         loss_scale=2.0 * settled.sigma_px if settings.outliers.loss == "cauchy" else None,
         hold=hold_of(recording, state),
         unit="m" if is_metric(recording, state) else "arbitrary",

@@ -23,12 +23,13 @@ from jaxpoint.calibration.objective import Solution, better_by
 from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording, RigState, adjust, project
-from jaxpoint.calibration.refinement import first_choice
+from jaxpoint.calibration.refinement import first_lenses
 from jaxpoint.calibration.result import Calibration, Stage
 from jaxpoint.calibration.target_blocks import with_places
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.lenses import lens_of_choice
-from jaxpoint.camera.parameters import ASPECT, CENTER, FOCAL, POSE, adjusted_lenses, size_of
+from jaxpoint.camera.lenses import LensChoice, chosen_lenses
+from jaxpoint.camera.mixed import model_of
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, adjusted_lenses, size_of
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings, OutlierSettings
 from jaxpoint.errors import InsufficientDataError
@@ -108,7 +109,7 @@ class _Solver:
         solutions = [self._solve(choice, starts) for choice in self._choices(starts)]
         best, stages = solutions[0]
         for other, others in solutions[1:]:
-            more = int(other.freedom.free.sum()) - int(best.freedom.free.sum())
+            more = other.freedom.parameters - best.freedom.parameters
             if better_by(other, best) > WORTH * more:
                 best, stages = other, others
         clock.append(time.perf_counter())
@@ -132,21 +133,21 @@ class _Solver:
             return None
         return [starts_of(self.recording, camera, name) for camera, name in enumerate(self.tracks.names)]
 
-    def _choices(self, starts: list[list[LensStart]] | None) -> list[str]:
-        """Settings of `lens.distortion` to try."""
-        asked = self.settings.lens.distortion
+    def _choices(self, starts: list[list[LensStart]] | None) -> list[LensChoice]:
+        """Lenses to try."""
+        asked, names = self.settings.lens.distortion, self.tracks.names
         if starts is None:
-            return [first_choice(self.settings, self.intrinsics)]
+            return [first_lenses(self.settings, self.intrinsics, names)]
         if asked != "auto":
-            lens_of_choice(asked)
-            return [asked]
+            return [chosen_lenses(asked, names)]
         bent = [next(start for start in some if start.equidistant) for some in starts]
         angle = max(widest_angle(self.recording, camera, start) for camera, start in enumerate(bent))
         wide = angle > WIDE and any(some[0].equidistant for some in starts)
-        return [FISHEYE] if wide and angle > VERY_WIDE else [FULL, FISHEYE] if wide else [FULL]
+        tried = [FISHEYE] if wide and angle > VERY_WIDE else [FULL, FISHEYE] if wide else [FULL]
+        return [chosen_lenses(choice, names) for choice in tried]
 
-    def _solve(self, choice: str, starts: list[list[LensStart]] | None) -> tuple[Solution, tuple[Stage, ...]]:
-        model, _ = lens_of_choice(choice)
+    def _solve(self, choice: LensChoice, starts: list[list[LensStart]] | None) -> tuple[Solution, tuple[Stage, ...]]:
+        model = choice.model
         freedom = board_freedom(self.recording, self.settings, choice, self.intrinsics)
         views = [self._alone(camera, model, freedom, starts) for camera in range(self.tracks.cameras)]
         names, views = self.tracks.names, self._counted_alike(views)
@@ -186,15 +187,15 @@ class _Solver:
         """One camera by itself."""
         self.progress("each camera by itself", camera, self.tracks.cameras)
         alone = Recording.of(self.tracks.select_cameras([camera]))
-        free, mean, weight = (_first_of(part, camera, len(alone.image_sizes)) for part in _parts(freedom))
+        owner = camera if freedom.owner is None else int(freedom.owner[camera])  # it alone has the lens's priors
+        free, mean, weight = (_first_of(part, owner, len(alone.image_sizes)) for part in _parts(freedom))
         own = Freedom(free, mean, weight)
         known = None if self.intrinsics is None else adjusted_lenses(self.intrinsics)[camera]
         start = None
         if starts is not None:
-            same = [some for some in starts[camera] if some.equidistant == model.sees_sideways]
-            better = starts[camera][0]
+            equidistant = next(some for some in starts[camera] if some.equidistant)
             # A perspective lens that is strongly bent looks equidistant; its coefficients are fitted to that.
-            start = same[0] if model.sees_sideways else better
+            start = equidistant if model_of(model, mean[0, COEFFICIENTS]).sees_sideways else starts[camera][0]
         found = solve_views(alone, own, model, start, known)
         self.progress("each camera by itself", camera + 1, self.tracks.cameras)
         return found
@@ -223,7 +224,7 @@ def _first_of(values: np.ndarray, camera: int, size: int) -> np.ndarray:
 
 
 def board_freedom(
-    recording: Recording, settings: CalibrateSettings, choice: str, intrinsics: CameraRig | None
+    recording: Recording, settings: CalibrateSettings, choice: LensChoice, intrinsics: CameraRig | None
 ) -> Freedom:
     """What moves: the pixel aspect too, which boards tell; of one camera no pose."""
     lens = settings.lens
@@ -238,7 +239,7 @@ def board_freedom(
     if not hold and lens.aspect == "auto":
         free[: recording.cameras, ASPECT] = True
     weight[:, ASPECT] = (NOISE_PX / SQUARE) ** 2
-    return replace(freedom, free=free, prior_weight=weight)
+    return replace(freedom, free=free, prior_weight=weight).with_shared_priors()
 
 
 def in_camera_frame(calibration: Calibration, camera: int = 0) -> Calibration:

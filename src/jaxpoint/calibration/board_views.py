@@ -15,6 +15,7 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust,
 from jaxpoint.calibration.target_blocks import TargetRows, known_poses, with_places
 from jaxpoint.camera.conversion import fit_coefficients
 from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.mixed import embedded, model_of, own_coefficients
 from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, lens_parameters, size_of
 from jaxpoint.camera.parameters import POSE as CAMERA_POSE
 from jaxpoint.errors import InsufficientDataError
@@ -117,18 +118,18 @@ def _coefficients(
     alone: Recording, freedom: Freedom, model: type[AbstractLens], start: LensStart
 ) -> Float[np.ndarray, " k"]:
     """Coefficients that make the lens see like the start where the target was seen."""
-    mean = freedom.prior_mean[0, COEFFICIENTS]
-    if start.equidistant == model.sees_sideways:
+    mean, free = freedom.prior_mean[0, COEFFICIENTS], freedom.free[0, COEFFICIENTS]
+    own = model_of(model, mean)
+    if start.equidistant == own.sees_sideways:
         return mean
     center = (alone.image_sizes[0] - 1) / 2.0
     pixels = alone.pixels[alone.visible[:, 0], 0]
     directions = directions_of(pixels, start.focal, center, start.equidistant)
     near = directions[:, 2] > np.cos(REACH)
     # Two radial terms: more would follow the start's faults to the edge of the image.
-    radial = freedom.free[0, COEFFICIENTS] & np.array([c.name in ("k1", "k2") for c in model.coefficients], bool)
-    return fit_coefficients(
-        model, np.array([start.focal, start.focal, *center]), directions[near], pixels[near], radial
-    )
+    radial = free[own_coefficients(model, own)] & np.array([c.name in ("k1", "k2") for c in own.coefficients], bool)
+    common = np.array([start.focal, start.focal, *center])
+    return embedded(model, own, fit_coefficients(own, common, directions[near], pixels[near], radial))
 
 
 def _poses(alone: Recording, state: RigState, owned: TargetRows, start: LensStart | None) -> Float[np.ndarray, "M 12"]:

@@ -133,17 +133,17 @@ def chain_of(
 
     Raises:
         UsageError: the calibration does not say which parameters were free (it was read from a file, or made by hand),
-            or has targets or known points.
+            or has targets, known points or shared lenses.
         InsufficientDataError: fewer than three landmarks, or a landmark or point with fewer than two pixels.
     """
     if calibration.freedom is None:
         raise UsageError(
             "This calibration does not say which of its parameters were free; calibrate again from its tracks."
         )
-    if calibration.tracks.targets or calibration.tracks.prior is not None:
+    if calibration.tracks.targets or calibration.tracks.prior is not None or calibration.freedom.owner is not None:
         raise UsageError(
-            "A calibration with targets or known points has no derivatives by its observations yet; calibrate from the "
-            "light alone for these."
+            "A calibration with targets, known points or shared lenses has no derivatives by its observations yet; "
+            "calibrate from the light alone for these."
         )
     count = calibration.tracks.cameras
     if landmarks is None:

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxpoint.calibration.expected import expected_error
-from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, Finding, Level
 from jaxpoint.calibration.sight import centres, poses
 from jaxpoint.calibration.uncertainty import uncertainty_of
@@ -115,7 +114,7 @@ def _with_known_lenses(calibration: Calibration, found: Determinacy) -> str:
     free = freedom.free.copy()
     free[:, FOCAL:] = False
     try:
-        held = uncertainty_of(replace(calibration, freedom=Freedom(free, freedom.prior_mean, freedom.prior_weight)))
+        held = uncertainty_of(replace(calibration, freedom=replace(freedom, free=free)))
     except InsufficientDataError:
         return ""
     then = determinacy_of(replace(calibration, camera_covariance=np.asarray(held.covariance)))

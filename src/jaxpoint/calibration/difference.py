@@ -122,11 +122,12 @@ def difference(
     """
     if first.names != second.names:
         raise ValueError(f"The cameras differ: {list(first.names)} and {list(second.names)}; select alike.")
-    kinds = [type(rig.cameras.lens).name for rig in (first, second)]
-    if kinds[0] != kinds[1]:
-        raise UsageError(
-            f"The lenses are of different models, {kinds[0]} and {kinds[1]}; calibrate both with one --lens.distortion."
-        )
+    for name, *kinds in zip(first.names, first.lens_models, second.lens_models):
+        if kinds[0] is not kinds[1]:
+            raise UsageError(
+                f"The lenses of camera '{name}' are of different models, {kinds[0].name} and {kinds[1].name}; "
+                "calibrate both with one --lens.distortion."
+            )
     if align and len(first) < 2:
         raise InsufficientDataError("1 camera in common does not hold a frame; an alignment takes two or more.")
     with jax.enable_x64(True):

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxpoint.calibration.adjustment import AbstractModel, PointPriors, Problem, Unknowns
 from jaxpoint.calibration.eliminated import AbstractEliminated, FreePoints, TargetPoses
@@ -241,23 +241,34 @@ def _mirror(panels: list[Float[Array, "n k"]]) -> Float[Array, "D D"]:
 
 
 def _camera_step(
-    diagonal, product, gradient, damping
+    diagonal, product, gradient, damping, owner: Int[Array, " D"] | None
 ) -> tuple[Float[Array, "C p"], Float[Array, ""], Float[Array, ""]]:
-    """The damped step of the cameras, what it promises to gain, and the change that its parts would make singly."""
+    """The damped step of the cameras, what it promises to gain, and the change that its parts would make singly.
+
+    Parameters that equal others move with them: their equations are added up, and the step is copied.
+    """
     cameras, size, _ = diagonal.shape
     own = jnp.diagonal(diagonal, axis1=1, axis2=2)
+    if owner is not None:
+        own = jnp.zeros(own.size, own.dtype).at[owner].add(own.reshape(-1)).reshape(own.shape)
+        gradient = jnp.zeros_like(gradient).at[owner].add(gradient)
     scale = jnp.where(own > 0, own, 1.0)
     matrix = -product.reshape(cameras, size, cameras, size)
     each = jnp.arange(cameras)
     matrix = matrix.at[each, :, each, :].add(diagonal)
     matrix = matrix.reshape(cameras * size, cameras * size)
+    if owner is not None:
+        matrix = jnp.zeros_like(matrix).at[owner].add(matrix)
+        matrix = jnp.zeros_like(matrix).at[:, owner].add(matrix)
     scale = jnp.sqrt(scale.reshape(-1))
     held = (own <= 0).reshape(-1)
     # In units in which every diagonal entry of the undamped camera block is 1; a held parameter gets a lone 1.
     matrix = matrix / (scale[:, None] * scale[None, :]) + jnp.diag(jnp.where(held, 1.0, damping))
     scaled = -solve_positive(matrix, gradient / scale)
-    step = (scaled / scale).reshape(cameras, size)
-    return step, -gradient @ step.reshape(-1), (scaled**2).sum()
+    step = scaled / scale
+    promise = -gradient @ step
+    step = step if owner is None else step[owner]
+    return step.reshape(cameras, size), promise, (scaled**2).sum()
 
 
 def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bool, axis: str | None = None):
@@ -268,7 +279,7 @@ def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bo
     """
     point_damping = jnp.zeros_like(damping) if project_points else damping
     diagonal, product, gradient, kept = reduced_system(model, y, problem, point_damping, axis)
-    step, promise, reach = _camera_step(diagonal, product, gradient, damping)
+    step, promise, reach = _camera_step(diagonal, product, gradient, damping, _owner(model, problem))
     whole = jnp.zeros_like(y.cameras).at[:, np.array(model.moving)].set(step)
     moved = model.retract(y.cameras, problem.constants, whole)
     state = model.state(moved, problem.constants)
@@ -299,6 +310,15 @@ def trial_step(model, y: Unknowns, problem: Problem, damping, project_points: bo
     fine = costs[0] < before
     points, *poses = (jnp.where(fine, gone, safe) for gone, safe in ends)
     return Unknowns(moved, points, tuple(poses)), before, jnp.where(fine, costs[0], costs[1]), promise, reach
+
+
+def _owner(model: AbstractModel, problem: Problem) -> Int[Array, " D"] | None:
+    """Which of the parameters that move each one equals."""
+    if problem.owner is None:
+        return None
+    moving = np.array(model.moving)
+    camera = problem.owner[:, moving] // problem.owner.shape[1]
+    return (camera * len(moving) + jnp.arange(len(moving))[None]).reshape(-1)
 
 
 LEAP = 4.0

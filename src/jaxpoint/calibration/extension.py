@@ -27,9 +27,10 @@ from jaxpoint.calibration.outliers import (
 )
 from jaxpoint.calibration.pairs import pair_table
 from jaxpoint.calibration.recording import Freedom, Recording, RigState
-from jaxpoint.calibration.refinement import first_choice
+from jaxpoint.calibration.refinement import first_lenses
 from jaxpoint.calibration.result import Calibration, Finding, FrameHold, Stage, Verdict
 from jaxpoint.calibration.robust_resection import RobustResection, resect_robustly
+from jaxpoint.camera.lenses import lenses_of_models
 from jaxpoint.camera.parameters import CENTER, COEFFICIENTS, FOCAL, adjusted_cameras, adjusted_lenses
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
@@ -68,7 +69,8 @@ def extend_calibration(
         moved: cameras to be found again.
 
     Raises:
-        UsageError: a camera in `moved` is not known, nothing is to be found, or image sizes are others.
+        UsageError: a camera in `moved` is not known, nothing is to be found, image sizes are others, or lenses are to
+            be shared.
         InsufficientDataError: fewer than two cameras stay, or a camera shares too little with them.
     """
     with jax.enable_x64(True):
@@ -77,6 +79,8 @@ def extend_calibration(
 
 def _extend(tracks: Tracks, known: Calibration, settings: CalibrateSettings, moved: Sequence[str]) -> Calibration:
     begin = time.perf_counter()
+    if settings.lens.shared:
+        raise UsageError("A calibrated room keeps its lenses; leave out --lens.shared, or calibrate anew.")
     parts = _parts(tracks, known, moved)
     recording, light = Recording.of(tracks), _light(tracks, known.rig, parts.stay)
     state, found = _start(tracks, recording, parts, light, settings)
@@ -202,12 +206,12 @@ def _resected(tracks: Tracks, parts: _Parts, camera: int, points, pixels, seed: 
 
 def _freedom(recording: Recording, parts: _Parts, settings: CalibrateSettings) -> Freedom:
     """Cameras that stay are held; moved ones keep their lens; new ones have the lens terms that the others have."""
-    freedom = Freedom.of(recording, settings.lens, first_choice(settings, parts.lenses))
+    freedom = Freedom.of(recording, settings.lens, first_lenses(settings, parts.lenses, recording.names))
     free = freedom.free.copy()
     count = recording.cameras
     known = np.flatnonzero(~parts.new)
     used = (np.asarray(adjusted_lenses(parts.lenses))[known, COEFFICIENTS.start - FOCAL :] != 0).any(axis=0)
-    free[:count, COEFFICIENTS] = used
+    free[:count, COEFFICIENTS] = used & lenses_of_models(parts.lenses.lens_models).free
     free[np.flatnonzero(parts.stay)] = False
     if settings.lens.known != "refine":
         free[np.flatnonzero(parts.moved), FOCAL:] = False

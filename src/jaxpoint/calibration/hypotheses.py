@@ -13,7 +13,7 @@ from jaxpoint.calibration.recording import Recording, RigState, padded_cameras
 from jaxpoint.calibration.stratification import Views, candidates, upgrade
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
 from jaxpoint.camera.conversion import fit_coefficients
-from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.lenses import LensChoice
 from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, adjusted_lenses, size_of
 from jaxpoint.camera.rig import CameraRig
 
@@ -30,20 +30,18 @@ class Lenses:
     focals: np.ndarray | None  # (C,) half diagonals, where intrinsics are known
     division: np.ndarray  # (C,) division-model parameters
     known: CameraRig | None
-    model: type[AbstractLens]
-    bends: np.ndarray  # (k,) which coefficients the division model is turned into
+    choice: LensChoice  # its free coefficients are what the division model is turned into
 
     @staticmethod
     def of(
         data: NormalisedTracks,
         geometry: TwoViewGeometry,
         known: CameraRig | None,
-        model: type[AbstractLens],
-        bends: np.ndarray,
+        choice: LensChoice,
     ) -> Lenses:
         """From known intrinsics, or from the pairs' division-model parameters."""
         focals = None if known is None else np.asarray(known.cameras.focal)[:, 0] / data.half_diagonals
-        return Lenses(focals, geometry.lenses, known, model, bends)
+        return Lenses(focals, geometry.lenses, known, choice)
 
 
 def euclidean_upgrades(
@@ -137,7 +135,7 @@ def rig_state(
         division: (C,) division-model parameters.
     """
     count, size = recording.cameras, len(recording.image_sizes)
-    numbers, base = np.zeros((size, size_of(lenses.model))), np.tile(np.eye(3), (size, 1, 1))
+    numbers, base = np.zeros((size, size_of(lenses.choice.model))), np.tile(np.eye(3), (size, 1, 1))
     base[:count] = rotation
     positions = -np.einsum("cji,cj->ci", rotation, translation)
     middle = positions.mean(axis=0)
@@ -150,24 +148,28 @@ def rig_state(
     numbers[:, CENTER] = (recording.image_sizes - 1) / 2.0
     if lenses.known is not None:
         numbers[:count, FOCAL:] = adjusted_lenses(lenses.known)
-        return RigState(numbers, base, placed, lenses.model)
+        return RigState(numbers, base, placed, lenses.choice.model)
     numbers[:count, FOCAL] = np.log(focal * data.half_diagonals)
     numbers[:count, ASPECT] = -np.log(data.pixel_aspects)
     for camera in range(count):
+        choice = lenses.choice.select([camera])
         reach = np.linalg.norm(data.points[data.visible[:, camera], camera], axis=1).max()
-        numbers[camera, COEFFICIENTS] = coefficients_of_division(division[camera], focal[camera], reach, lenses)
-    return RigState(numbers, base, placed, lenses.model)
+        numbers[camera, COEFFICIENTS] = coefficients_of_division(division[camera], focal[camera], reach, choice)
+    return RigState(numbers, base, placed, lenses.choice.model)
 
 
 _FOUR_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
-def coefficients_of_division(lens: float, focal: float, reach: float, lenses: Lenses) -> np.ndarray:
-    """Coefficients (k,) that bend like a division-model lens up to the distorted radius `reach` (half diagonals)."""
+def coefficients_of_division(lens: float, focal: float, reach: float, choice: LensChoice) -> np.ndarray:
+    """Coefficients (k,) of one camera that bend like a division-model lens up to the distorted radius `reach`.
+
+    In half diagonals.
+    """
     bent = np.linspace(0.05, 1.0, 40) * reach
     third = 1.0 + lens * bent**2
     bent, third = bent[third > 0.2], third[third > 0.2]
     straight, seen = ((values[:, None, None] * _FOUR_WAYS).reshape(-1, 2) for values in (bent / third / focal, bent))
     directions = np.concatenate([straight, np.ones((len(straight), 1))], axis=1)
     common = np.array([focal, focal, 0.0, 0.0])
-    return fit_coefficients(lenses.model, common, directions, seen, lenses.bends)
+    return fit_coefficients(choice.model, common, directions, seen, choice.free[0], choice.mean[0])

@@ -29,10 +29,12 @@ def optimum(solver: SchurLevenbergMarquardt, start: Unknowns, problem: Problem) 
     `rtol`.
 
     Raises:
-        ValueError: the problem has targets or priors of points, which have no derivatives here.
+        ValueError: the problem has targets, priors of points or shared lenses, which have no derivatives here.
     """
-    if problem.targets or problem.point_priors is not None:
-        raise ValueError("Problems with targets or priors of points have no implicit derivatives; leave these out.")
+    if problem.targets or problem.point_priors is not None or problem.owner is not None:
+        raise ValueError(
+            "Problems with targets, priors of points or shared lenses have no implicit derivatives; leave these out."
+        )
     return _optimum(problem, solver, jax.lax.stop_gradient(start))[0]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -62,7 +62,7 @@ def unknown_again(freedom: Freedom, camera: int, widths: Float[np.ndarray, " C"]
     free[camera, ASPECT] = freedom.free[camera, ASPECT]
     weight[camera, FOCAL] = (noise_px / LOOSE) ** 2
     weight[camera, CENTER] = (noise_px / (LOOSE * widths[camera])) ** 2
-    return Freedom(free, freedom.prior_mean, weight)
+    return replace(freedom, free=free, prior_weight=weight).with_shared_priors()
 
 
 def refuted_lenses(test: LensTest, names: tuple[str, ...]) -> Iterator[Finding]:

@@ -99,7 +99,7 @@ def lens_findings(calibration: Calibration) -> Iterator[Finding]:
 def _other_model(calibration: Calibration) -> str:
     """The lens model to try next, or what else helps."""
     lens, freedom = type(calibration.rig.cameras.lens), calibration.freedom
-    if lens is KannalaBrandt:
+    if set(calibration.rig.lens_models) == {KannalaBrandt}:
         return "Give known lenses (--intrinsics), or leave these cameras out"
     if lens is Brown and freedom is not None and not freedom.free[:, COEFFICIENTS].all(axis=1).any():
         return "Allow more terms (--lens.distortion brown), or try a fisheye (--lens.distortion fisheye)"

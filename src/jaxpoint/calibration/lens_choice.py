@@ -13,7 +13,7 @@ from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust,
 from jaxpoint.calibration.result import Stage
 from jaxpoint.camera.conversion import convert
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.lenses import chosen_lenses, lens_of_choice
 from jaxpoint.camera.parameters import COEFFICIENTS, FOCAL, chosen_coefficients, lens_parameters
 from jaxpoint.config import CalibrateSettings
 
@@ -22,7 +22,7 @@ LEAST_GAIN = 0.05  # of the mean held-out error: less is not worth a flatter val
 STRETCHES = 40
 LEAST_EVIDENCE = 3.0  # standard errors of the mean difference
 LEAST_DOUBT = 1.5  # standard errors of the same, from which another kind of lens is tried too
-WIDE = 0.85  # focal lengths from the principal point: cameras that see less are taken as Brown's
+WIDE = 0.75  # focal lengths from the principal point: cameras that see less are taken as Brown's
 FAR_SHARE = 0.98  # of a camera's observations lie within the radius by which it counts as wide
 WORTH = 4.0  # fall of the objective for every coefficient more (twice what Akaike 1974 asks: lenses are alike)
 
@@ -70,7 +70,7 @@ def _choose_fisheye(
     """The fisheye model for all cameras where it lowers the objective over all observations."""
     freedom = fisheye_freedom(recording, solution.freedom, settings)
     trial = solve_with(recording, as_fisheye(recording, solution.state), freedom, settings.outliers)
-    more = int(freedom.free.sum()) - int(solution.freedom.free.sum())
+    more = freedom.parameters - solution.freedom.parameters
     gain = better_by(trial, solution)
     figures = {
         "fall_of_the_objective": float(gain),
@@ -85,14 +85,14 @@ def _choose_fisheye(
 
 def fisheye_freedom(recording: Recording, freedom: Freedom, settings: CalibrateSettings) -> Freedom:
     """The freedom with the fisheye's coefficients in place of Brown's; all else as it was."""
-    model, names = lens_of_choice(FISHEYE)
-    mean, weight = priors(recording, settings.lens, model)
+    choice = chosen_lenses(FISHEYE, recording.names)
+    mean, weight = priors(recording, settings.lens, choice)
     free = np.zeros(mean.shape, bool)
-    free[recording.exists, COEFFICIENTS] = chosen_coefficients(model, names)
+    free[recording.exists, COEFFICIENTS] = choice.free
     common = slice(0, COEFFICIENTS.start)
     for new, old in ((free, freedom.free), (mean, freedom.prior_mean), (weight, freedom.prior_weight)):
         new[:, common] = old[:, common]
-    return Freedom(free, mean, weight)
+    return replace(freedom, free=free, prior_mean=mean, prior_weight=weight).with_shared_priors()
 
 
 def first_lens_again(
@@ -111,11 +111,11 @@ def first_lens_again(
     now = chosen.freedom.free, chosen.freedom.prior_mean, chosen.freedom.prior_weight
     for part, own in zip(parts, now):
         part[:, common] = own[:, common]
-    freedom = Freedom(parts[0], parts[1], parts[2])
+    freedom = replace(chosen.freedom, free=parts[0], prior_mean=parts[1], prior_weight=parts[2])
     used = np.asarray(np.any(freedom.free[recording.exists, COEFFICIENTS], axis=0))
     state = with_lens(recording, chosen.state, first.state.lens, used)
     trial = solve_with(recording, state, freedom, settings.outliers)
-    fewer = int(chosen.freedom.free.sum()) - int(freedom.free.sum())
+    fewer = chosen.freedom.parameters - freedom.parameters
     gain = better_by(trial, chosen)
     back = gain > -WORTH * max(fewer, 1)
     figures = {"chosen": "the first again" if back else "as before", "fall_of_the_objective": float(gain)}

@@ -17,6 +17,7 @@ from jaxpoint.calibration.gauge import FREEDOMS, gauge_directions_of_cameras
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.row_groups import GroupSlopes, row_groups, slopes_of
+from jaxpoint.calibration.shared_lenses import places_of, summed
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.parameters import FOCAL, adjusted_lenses
 from jaxpoint.motion import motion
@@ -71,16 +72,20 @@ class NormalEquations:
         free = np.pad(freedom.free, more)
         weight = np.pad(np.where(freedom.free, freedom.prior_weight, 0.0), more)
         free[1:, list(extra)] = True
+        places = places_of(freedom.owner, len(free), freedom.free.shape[1], EXTRA).ravel()
+        free &= (places == np.arange(free.size)).reshape(free.shape)
         pull = weight * np.pad(self.parameters - freedom.prior_mean, more)
-        gradient = self.gradient.reshape(free.shape) + pull
+        gradient = np.zeros(free.size)
+        np.add.at(gradient, places, self.gradient + pull.ravel())
         chosen = np.flatnonzero(free)
-        matrix = self.matrix[np.ix_(chosen, chosen)] + np.diag(weight.ravel()[chosen])
+        matrix = summed(self.matrix + np.diag(weight.ravel()), places)[np.ix_(chosen, chosen)]
         inverse = _inverse(matrix, self.gauge[chosen])
         change, covariance = np.zeros(free.size), np.zeros((free.size, free.size))
-        change[chosen] = -inverse @ gradient.ravel()[chosen]
+        change[chosen] = -inverse @ gradient[chosen]
         covariance[np.ix_(chosen, chosen)] = self.variance * inverse
-        gain = -float(gradient.ravel() @ change) / self.variance
-        return GaussNewtonStep(change.reshape(free.shape), covariance, gain)
+        gain = -float(gradient @ change) / self.variance
+        covariance = covariance[np.ix_(places, places)] if freedom.owner is not None else covariance
+        return GaussNewtonStep(change[places].reshape(free.shape), covariance, gain)
 
 
 def _inverse(matrix: np.ndarray, gauge: np.ndarray) -> np.ndarray:

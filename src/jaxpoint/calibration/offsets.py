@@ -75,7 +75,7 @@ def brought_in_step(
         state, change = _adjust(recording, clock, judged, weighed, loss)
         offsets, before, step = offsets + change, step, np.abs(change).max()
         errors = np.linalg.norm(project(state)[0] - recording.pixels, axis=-1)
-        sigma = robust_sigma(errors, judged.kept, int(freedom.free.sum()))
+        sigma = robust_sigma(errors, judged.kept, freedom.parameters)
         threshold = max(settings.sigmas * sigma, settings.floor_px)
         good = _good(tracks, clock, judged, good)
         rounds += 1

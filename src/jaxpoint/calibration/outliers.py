@@ -133,7 +133,7 @@ def refine_to_convergence(
     threshold goes in and out for ever: a set that comes back is the end too. Without a frame that tells the noise the
     sigma is infinite, and nothing converges.
     """
-    parameters = int(freedom.free.sum())
+    parameters = freedom.parameters
     bodies = bodies_of(recording, judged.state)
     sigma = robust_sigma(judged.errors, judged.kept, parameters, bodies)
     converged, rounds, exact = False, 0, False

@@ -33,10 +33,10 @@ def spread(mesh: Mesh, start: Unknowns, problem: Problem) -> tuple[Unknowns, Pro
     With several processes each gives the blocks of its own frames, equally many, and the same cameras.
 
     Raises:
-        ValueError: the problem has targets or priors of points, which one device solves.
+        ValueError: the problem has targets, priors of points or shared lenses, which one device solves.
     """
-    if problem.targets or problem.point_priors is not None:
-        raise ValueError("Targets and priors of points are solved on one device: use `bundle.solve`.")
+    if problem.targets or problem.point_priors is not None or problem.owner is not None:
+        raise ValueError("Targets, priors of points and shared lenses are solved on one device: use `bundle.solve`.")
     missing = -len(start.points) % len(mesh.local_devices)
 
     def blocks(values):

@@ -119,14 +119,14 @@ def with_free_centers(freedom: Freedom, chosen: np.ndarray, widths: np.ndarray, 
     weight = freedom.prior_weight.copy()
     some = np.flatnonzero(chosen)
     weight[some, CENTER] = ((noise_px / (FREE_CENTER * widths[some])) ** 2)[:, None]
-    return Freedom(freedom.free, freedom.prior_mean, weight)
+    return replace(freedom, prior_weight=weight).with_shared_priors()
 
 
 def with_moved_centers(freedom: Freedom, offset: Float[np.ndarray, "2"], recording: Recording) -> Freedom:
     """The freedom with the priors of all principal points moved alike, by an offset in image widths."""
     mean = freedom.prior_mean.copy()
     mean[recording.exists, CENTER] += recording.image_sizes[recording.exists, :1] * offset
-    return Freedom(freedom.free, mean, freedom.prior_weight)
+    return replace(freedom, prior_mean=mean)
 
 
 def with_free_aspects(freedom: Freedom, chosen: np.ndarray, noise_px: float = NOISE_PX) -> Freedom:
@@ -134,7 +134,7 @@ def with_free_aspects(freedom: Freedom, chosen: np.ndarray, noise_px: float = NO
     free, weight = freedom.free.copy(), freedom.prior_weight.copy()
     some = np.flatnonzero(chosen)
     free[some, ASPECT], weight[some, ASPECT] = True, (noise_px / FREE_ASPECT) ** 2
-    return Freedom(free, freedom.prior_mean, weight)
+    return replace(freedom, free=free, prior_weight=weight).with_shared_priors()
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ class PriorChoice:
         numbers, free, mean = state.cameras.copy(), freedom.free.copy(), freedom.prior_mean.copy()
         numbers[:cameras, ASPECT] = mean[:cameras, ASPECT] = -np.log(aspects)
         free[:cameras, ASPECT] = False
-        held = Freedom(free, mean, freedom.prior_weight)
+        held = replace(freedom, free=free, prior_mean=mean)
         return self._solved(replace(state, cameras=numbers), held)
 
     def _assembled(self, solution: Solution) -> Calibration:

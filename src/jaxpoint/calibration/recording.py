@@ -12,11 +12,12 @@ from scipy.spatial.transform import Rotation
 from jaxpoint.calibration.adjustment import PointPriors
 from jaxpoint.calibration.bundle import LEAST_SQUARES, CameraModel, padded_frames, solve, to_blocks
 from jaxpoint.calibration.schur import Problem, SchurLevenbergMarquardt, Unknowns, solve_points
+from jaxpoint.calibration.shared_lenses import lens_owners, places_of, with_common_lenses
 from jaxpoint.calibration.target_blocks import TargetRows, seen_targets, target_rows, with_solved
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
-from jaxpoint.camera.lenses import lens_of_choice
-from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, chosen_coefficients, size_of
+from jaxpoint.camera.lenses import LensChoice, chosen_lenses
+from jaxpoint.camera.parameters import ASPECT, CENTER, COEFFICIENTS, FOCAL, POSE, size_of
 from jaxpoint.compilation import jit
 from jaxpoint.config import LensSettings
 from jaxpoint.tracks import Tracks
@@ -34,6 +35,7 @@ class Recording:
     frames: int
     cameras: int
     pixel_aspects: np.ndarray  # (D,) width over height of a pixel; 1 where nothing states another
+    names: tuple[str, ...]  # of the cameras
     targets: tuple[TargetRows, ...] = ()
     known: np.ndarray | None = None  # (N, 3) m, where the room says that points lie,
     known_sigmas: np.ndarray | None = None  # (N,) m, and how sure it is; infinite where it says nothing
@@ -52,7 +54,7 @@ class Recording:
         visible[: tracks.frames, : tracks.cameras] = tracks.visible
         sizes[: tracks.cameras] = tracks.image_sizes
         targets = tuple(target_rows(tracks, number) for number in range(len(tracks.targets)))
-        plain = Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects, targets)
+        plain = Recording(pixels, visible, sizes, tracks.frames, tracks.cameras, aspects, tracks.names, targets)
         if tracks.prior is None:
             return plain
         known, sigmas = np.zeros((frames, 3)), np.full(frames, np.inf)
@@ -103,10 +105,9 @@ class RigState:
         return replace(self, cameras=cameras, base=self.rotation)
 
 
-def free_parameters(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> np.ndarray:
+def free_parameters(recording: Recording, lens: LensSettings, choice: LensChoice, hold: bool = False) -> np.ndarray:
     """Which parameters of each camera move, (D, p) bool."""
-    model, names = lens_of_choice(distortion)
-    free = np.zeros((recording.image_sizes.shape[0], size_of(model)), dtype=bool)
+    free = np.zeros((recording.image_sizes.shape[0], size_of(choice.model)), dtype=bool)
     free[: recording.cameras, POSE] = True
     if hold:
         return free
@@ -114,7 +115,7 @@ def free_parameters(recording: Recording, lens: LensSettings, distortion: str, h
     real[:, FOCAL] = True
     real[:, ASPECT] = lens.aspect == "free"
     real[:, CENTER] = lens.principal_point != "fixed"
-    real[:, COEFFICIENTS] = chosen_coefficients(model, names)
+    real[:, COEFFICIENTS] = choice.free
     return free
 
 
@@ -122,17 +123,17 @@ NOISE_PX = 0.5  # assumed when priors are weighed against pixels
 SIGMA_ASPECT = 0.3  # of a log aspect
 
 
-def priors(recording: Recording, lens: LensSettings, model: type[AbstractLens]) -> tuple[np.ndarray, np.ndarray]:
+def priors(recording: Recording, lens: LensSettings, choice: LensChoice) -> tuple[np.ndarray, np.ndarray]:
     """Prior mean and weight (px^2 per unit^2) of the parameters of each camera, (D, p) each."""
-    shape = (recording.image_sizes.shape[0], size_of(model))
+    shape = (recording.image_sizes.shape[0], size_of(choice.model))
     mean, sigma = np.zeros(shape), np.full(shape, np.inf)
     mean[:, CENTER] = (recording.image_sizes - 1) / 2.0
     mean[:, ASPECT] = -np.log(recording.pixel_aspects)  # of fx / fy
     if lens.principal_point == "prior":
         sigma[:, CENTER] = lens.principal_point_sigma * recording.image_sizes[:, :1]
     sigma[:, ASPECT] = SIGMA_ASPECT
-    mean[:, COEFFICIENTS] = [coefficient.prior_mean for coefficient in model.coefficients]
-    sigma[:, COEFFICIENTS] = [coefficient.prior_sigma for coefficient in model.coefficients]
+    mean[: recording.cameras, COEFFICIENTS] = choice.mean
+    sigma[:, COEFFICIENTS] = [coefficient.prior_sigma for coefficient in choice.model.coefficients]
     return mean, (NOISE_PX / sigma) ** 2
 
 
@@ -149,12 +150,16 @@ class Freedom:
     prior_mean: np.ndarray  # (D, p)
     prior_weight: np.ndarray  # (D, p)
     noise_px: float = NOISE_PX  # of the pixels that the priors are weighed against
+    owner: np.ndarray | None = None  # (D,) the camera that owns the lens of each camera; None where all have their own
 
     @staticmethod
-    def of(recording: Recording, lens: LensSettings, distortion: str, hold: bool = False) -> Freedom:
-        """The freedom that the settings ask for."""
-        model, _ = lens_of_choice(distortion)
-        return Freedom(free_parameters(recording, lens, distortion, hold), *priors(recording, lens, model))
+    def of(recording: Recording, lens: LensSettings, choice: LensChoice | str, hold: bool = False) -> Freedom:
+        """The freedom that the settings ask for, with these lenses (see `lenses.chosen_lenses`)."""
+        if isinstance(choice, str):
+            choice = chosen_lenses(choice, recording.names)
+        owner = lens_owners(lens.shared, recording.names, recording.image_sizes)
+        freedom = Freedom(free_parameters(recording, lens, choice, hold), *priors(recording, lens, choice), owner=owner)
+        return freedom.with_shared_priors()
 
     def around(self, recording: Recording, lenses: np.ndarray, model: type[AbstractLens]) -> Freedom:
         """The same freedom, drawn to known lenses (C, p - 6), see `camera.parameters.adjusted_lenses`."""
@@ -164,7 +169,23 @@ class Freedom:
         sigma[:, 2:4] *= recording.image_sizes[: recording.cameras, :1]
         mean[: recording.cameras, FOCAL:] = lenses
         weight[: recording.cameras, FOCAL:] = (NOISE_PX / sigma) ** 2
-        return replace(self, prior_mean=mean, prior_weight=weight)
+        return replace(self, prior_mean=mean, prior_weight=weight).with_shared_priors()
+
+    @property
+    def parameters(self) -> int:
+        """How many parameters move, each of a shared lens once."""
+        return int((self.free & ~self._borrowed).sum())
+
+    @property
+    def _borrowed(self) -> np.ndarray:
+        """(D, p) parameters that another camera owns."""
+        return places_of(self.owner, *self.free.shape) != places_of(None, *self.free.shape)
+
+    def with_shared_priors(self) -> Freedom:
+        """The same freedom, with one prior for each shared lens: its owner's."""
+        if self.owner is None:
+            return self
+        return replace(self, prior_weight=np.where(self._borrowed, 0.0, self.prior_weight))
 
     def at_noise(self, sigma_px: float) -> Freedom:
         """The priors weighed against pixels of this noise."""
@@ -197,6 +218,7 @@ def adjust(
 ) -> Solved:
     """Robust bundle adjustment of the observations `kept` (N, D)."""
     state = state.rebased()
+    state = replace(state, cameras=with_common_lenses(state.cameras, freedom.owner))
     problem, start = _problem(recording, state, kept, freedom, loss_scale, steps)
     # Of a large rig the products dominate; of a small one another compilation would.
     held = tuple(np.flatnonzero(~freedom.free.any(axis=0)).tolist()) if recording.cameras >= LARGE_RIG else ()
@@ -234,6 +256,7 @@ def _problem(recording, state: RigState, kept, freedom: Freedom, loss_scale, ste
         jnp.asarray(steps),
         _point_priors(recording, state, freedom.noise_px),
         targets,
+        None if freedom.owner is None else jnp.asarray(places_of(freedom.owner, *freedom.free.shape)),
     )
     return problem, Unknowns(jnp.asarray(state.cameras), jnp.asarray(to_blocks(state.points)), poses)
 

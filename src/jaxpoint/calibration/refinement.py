@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,8 +21,8 @@ from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, 
 from jaxpoint.calibration.shapes import has_hold, with_shapes
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
 from jaxpoint.calibration.uncertainty import variance_px2
-from jaxpoint.camera.lenses import lens_of_choice
-from jaxpoint.camera.parameters import adjusted_lenses, chosen_coefficients
+from jaxpoint.camera.lenses import LensChoice, chosen_lenses, lenses_of_models
+from jaxpoint.camera.parameters import adjusted_lenses
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import UsageError
@@ -30,27 +31,27 @@ from jaxpoint.tracks import Tracks
 FIRST_LENS = "radial2"  # the setting under which `auto` begins
 
 
-def first_choice(settings: CalibrateSettings, intrinsics: CameraRig | None) -> str:
-    """The setting of `lens.distortion` under which the first solution is found; known lenses stay of their kind.
+def first_lenses(settings: CalibrateSettings, intrinsics: CameraRig | None, names: Sequence[str]) -> LensChoice:
+    """The lenses of the cameras (`names`) in the first solution; known lenses stay of their kind.
 
     Raises:
         UsageError: no lens offers the setting, or the known lenses are of another kind than it asks for.
     """
     asked = settings.lens.distortion
-    choice = FIRST_LENS if asked == "auto" else asked
-    if intrinsics is None or isinstance(intrinsics.cameras.lens, lens_of_choice(choice)[0]):
+    choice = chosen_lenses(FIRST_LENS if asked == "auto" else asked, names)
+    if intrinsics is None or isinstance(intrinsics.cameras.lens, choice.model):
         return choice
     if asked != "auto":
         raise UsageError(
             f"The known lenses are of the model '{intrinsics.cameras.lens.name}', but --lens.distortion {asked} asks "
             "for another; leave it at auto, or calibrate without known lenses."
         )
-    return max(intrinsics.cameras.lens.choices.items(), key=lambda item: len(item[1]))[0]
+    return lenses_of_models(intrinsics.lens_models)
 
 
 def freedom_of(recording: Recording, settings: CalibrateSettings, intrinsics: CameraRig | None) -> Freedom:
     """The parameters that the settings leave free, and their priors."""
-    choice = first_choice(settings, intrinsics)
+    choice = first_lenses(settings, intrinsics, recording.names)
     freedom = Freedom.of(recording, settings.lens, choice, hold=settings.lens.known == "hold")
     if intrinsics is None:
         return freedom
@@ -58,11 +59,14 @@ def freedom_of(recording: Recording, settings: CalibrateSettings, intrinsics: Ca
 
 
 def lenses_of(
-    data: NormalisedTracks, geometry: TwoViewGeometry, settings: CalibrateSettings, intrinsics: CameraRig | None
+    recording: Recording,
+    data: NormalisedTracks,
+    geometry: TwoViewGeometry,
+    settings: CalibrateSettings,
+    intrinsics: CameraRig | None,
 ) -> Lenses:
     """What the first solution knows of the lenses."""
-    model, names = lens_of_choice(first_choice(settings, intrinsics))
-    return Lenses.of(data, geometry, intrinsics, model, chosen_coefficients(model, names))
+    return Lenses.of(data, geometry, intrinsics, first_lenses(settings, intrinsics, recording.names))
 
 
 @dataclass

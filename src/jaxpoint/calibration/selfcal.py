@@ -22,12 +22,13 @@ from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
 from jaxpoint.calibration.recording import Recording
-from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of, lenses_of
+from jaxpoint.calibration.refinement import Refinement, first_lenses, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
+from jaxpoint.calibration.shared_lenses import groups_without, lens_owners
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.brown import Brown
-from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.lenses import setting_without
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import ContradictionError, InsufficientDataError
@@ -77,7 +78,8 @@ def calibrate(
     settings = settings or CalibrateSettings()
     if intrinsics is not None and len(intrinsics) != tracks.cameras:
         raise ValueError(f"Intrinsics of {len(intrinsics)} cameras were given for tracks of {tracks.cameras}.")
-    lens_of_choice(first_choice(settings, intrinsics))  # refuses a wrong setting before anything is computed
+    first_lenses(settings, intrinsics, tracks.names)  # refuses a wrong setting before anything is computed
+    lens_owners(settings.lens.shared, tracks.names, tracks.image_sizes)
     if settings.init == "boards" or (settings.init == "auto" and tracks.cameras <= 2 and boards_alone(tracks)):
         return calibrate_boards(tracks, settings, intrinsics=intrinsics, progress=progress)
     with jax.enable_x64(True):
@@ -115,6 +117,10 @@ def _solve_without(
     """The calibration of the other cameras, which says why this one was left out; None where they do not suffice."""
     rest = [other for other in range(tracks.cameras) if other != camera]
     fewer = None if intrinsics is None else intrinsics.select(rest)
+    name, lens = tracks.names[camera], settings.lens
+    shared = groups_without(lens.shared, name)
+    lens = replace(lens, distortion=setting_without(lens.distortion, name), shared=shared)
+    settings = replace(settings, lens=lens)
     try:
         others = _solve_consistently(tracks.select_cameras(rest), settings, fewer, progress)
     except InsufficientDataError:
@@ -137,7 +143,7 @@ def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: P
     geometry = _pair_geometry(tracks, recording, data, settings, intrinsics, progress)
     pairs = replace(pairs, inliers=geometry.inliers)
     freedom = freedom_of(recording, settings, intrinsics)
-    lenses = lenses_of(data, geometry, settings, intrinsics)
+    lenses = lenses_of(recording, data, geometry, settings, intrinsics)
     inputs = Inputs(recording, data, geometry, lenses, freedom, settings.seed)
     progress("first solution", 0, 1)
     candidates, stages = starts(inputs, settings.init)
@@ -170,7 +176,7 @@ def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: P
 
 def _pair_geometry(tracks, recording, data, settings, intrinsics, progress: Progress) -> TwoViewGeometry:
     """Two-view geometry of all pairs, while later programs compile."""
-    compiling = WarmUp(recording, data, first_choice(settings, intrinsics))
+    compiling = WarmUp(recording, data, first_lenses(settings, intrinsics, tracks.names))
     epipolar = settings.epipolar
     if intrinsics is not None:
         epipolar = replace(epipolar, division_model=False)

@@ -41,6 +41,7 @@ from jaxpoint.calibration.middle import about_its_middle, covariance_about
 from jaxpoint.calibration.recording import Freedom
 from jaxpoint.calibration.result import Calibration, FrameHold
 from jaxpoint.calibration.row_groups import GroupSlopes, row_groups, slopes_of
+from jaxpoint.calibration.shared_lenses import places_of, summed
 from jaxpoint.calibration.sight import centres, derivatives
 from jaxpoint.camera.parameters import change_by_adjusted
 from jaxpoint.camera.rig import CameraRig
@@ -406,12 +407,15 @@ def _any_frame(own_blocks, taken, freedom: Freedom, ways: Float[np.ndarray, "D n
         LinAlgError: more than these is open.
     """
     prior = np.where(freedom.free, freedom.prior_weight, 0.0)
-    diagonal = np.diagonal(own_blocks, axis1=1, axis2=2) + prior
-    held = (diagonal <= 0).ravel()
-    scale = np.sqrt(np.where(held, 1.0, diagonal.ravel()))
-    matrix = taken + block_diag(*own_blocks) + np.diag(prior.ravel())
+    places = places_of(freedom.owner, *prior.shape).ravel()
+    diagonal = np.zeros(prior.size)
+    np.add.at(diagonal, places, (np.diagonal(own_blocks, axis1=1, axis2=2) + prior).ravel())
+    held = diagonal <= 0
+    scale = np.sqrt(np.where(held, 1.0, diagonal))
+    matrix = summed(taken + block_diag(*own_blocks) + np.diag(prior.ravel()), places)
     matrix = matrix / np.outer(scale, scale) + np.diag(held.astype(float))
     open_ways, _ = np.linalg.qr(np.where(held[:, None], 0.0, ways * scale[:, None]))
     root = cho_factor(matrix + open_ways @ open_ways.T, check_finite=False)
     inverse = cho_solve(root, np.eye(len(scale)), check_finite=False)
-    return np.where(held[:, None] | held[None, :], 0.0, inverse) / np.outer(scale, scale)
+    found = np.where(held[:, None] | held[None, :], 0.0, inverse) / np.outer(scale, scale)
+    return found[np.ix_(places, places)]

@@ -14,19 +14,19 @@ import numpy as np
 from jaxpoint.calibration import factorization, hypotheses, outliers
 from jaxpoint.calibration.recording import Freedom, Recording, RigState, adjust
 from jaxpoint.calibration.twoview import NormalisedTracks
-from jaxpoint.camera.lenses import lens_of_choice
+from jaxpoint.camera.lenses import LensChoice
 from jaxpoint.camera.parameters import FOCAL, size_of
 from jaxpoint.config import LensSettings
 
-_compiled: set[tuple[int | str, ...]] = set()  # shapes whose programs this process has
+_compiled: set[tuple[int | str | bytes, ...]] = set()  # shapes whose programs this process has
 
 
 class WarmUp:
     """Compilations under way. Wait for them before calling the programs, or they are compiled twice."""
 
-    def __init__(self, recording: Recording, data: NormalisedTracks, choice: str):
-        """Of the lens that this setting of `lens.distortion` asks for."""
-        shape = (*recording.visible.shape, choice)
+    def __init__(self, recording: Recording, data: NormalisedTracks, choice: LensChoice):
+        """Of these lenses."""
+        shape = (*recording.visible.shape, choice.model.name, choice.free.tobytes())
         tasks = () if shape in _compiled else (_first_solution, _adjustment)
         _compiled.add(shape)
         self._threads = [
@@ -41,12 +41,12 @@ class WarmUp:
             thread.join()
 
 
-def _run(task, recording, data, choice: str) -> None:
+def _run(task, recording, data, choice: LensChoice) -> None:
     with jax.enable_x64(True):
         task(recording, data, choice)
 
 
-def _first_solution(recording: Recording, data: NormalisedTracks, choice: str) -> None:
+def _first_solution(recording: Recording, data: NormalisedTracks, choice: LensChoice) -> None:
     nothing = np.zeros(data.visible.shape, bool)
     lenses = np.zeros(recording.cameras)
     start = factorization.factorise_tracks(data, lenses, nothing, np.random.default_rng(0))
@@ -54,8 +54,8 @@ def _first_solution(recording: Recording, data: NormalisedTracks, choice: str) -
     hypotheses.compile_upgrade(recording, data)
 
 
-def _adjustment(recording: Recording, data: NormalisedTracks, choice: str) -> None:
-    size, (lens, _) = len(recording.image_sizes), lens_of_choice(choice)
+def _adjustment(recording: Recording, data: NormalisedTracks, choice: LensChoice) -> None:
+    size, lens = len(recording.image_sizes), choice.model
     cameras = np.zeros((size, size_of(lens)))
     cameras[:, FOCAL] = np.log(1000.0)
     state = RigState(cameras, np.tile(np.eye(3), (size, 1, 1)), np.zeros((len(recording.pixels), 3)), lens)

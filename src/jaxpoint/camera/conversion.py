@@ -18,14 +18,16 @@ def fit_coefficients(
     directions: Float[np.ndarray, "N 3"],
     pixels: Float[np.ndarray, "N 2"],
     free: Bool[np.ndarray, " k"],
+    mean: Float[np.ndarray, " k"] | None = None,
 ) -> Float[np.ndarray, " k"]:
     """Coefficients for which the lens sees directions at these pixels, by least squares.
 
     Args:
         common: fx, fy, cx, cy, px; they stay.
-        free: which coefficients to fit; the others stand at their prior mean.
+        free: which coefficients to fit.
+        mean: where they begin and the others stand; at their prior means if not given.
     """
-    found = np.array([coefficient.prior_mean for coefficient in lens.coefficients], dtype=float)
+    found = np.array([coefficient.prior_mean for coefficient in lens.coefficients] if mean is None else mean, float)
     if not len(directions) or not free.any():
         return found
     aim = tuple(directions.T)

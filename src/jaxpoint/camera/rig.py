@@ -8,11 +8,13 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import Camera
 from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.mixed import model_of
 from jaxpoint.compilation import jit
 from jaxpoint.geometry.arrays import AnyArray, as_float, hash_or_hint
 from jaxpoint.geometry.line import Ray
@@ -132,6 +134,12 @@ class CameraRig(eqx.Module):
     def rays(self, pixels: Float[AnyArray, "*batch C 2"]) -> Ray:
         """The rays of the world that pixels see; origin and direction (..., C, 3)."""
         return _rays(self, as_float(pixels))
+
+    @property
+    def lens_models(self) -> tuple[type[AbstractLens], ...]:
+        """The lens model of every camera."""
+        lens = type(self.cameras.lens)
+        return tuple(model_of(lens, own) for own in np.asarray(self.cameras.distortion))
 
     def transformed(self, world_from_solver: Similarity) -> CameraRig:
         """The same rig in another world frame: no pixel changes, P' = P S^-1."""

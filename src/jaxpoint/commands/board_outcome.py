@@ -16,6 +16,8 @@ from jaxpoint.calibration.board_quality import assess_boards
 from jaxpoint.calibration.pair_poses import pair_scatter
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.camera.camera import POSE_NAMES
+from jaxpoint.camera.lens import COMMON
+from jaxpoint.camera.mixed import own_coefficients
 from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome, at
 from jaxpoint.config import RoomConfig, to_toml
@@ -99,17 +101,18 @@ def _view(view: ViewFit, names: Sequence[str]) -> dict[str, Any]:
 def _lens(calibration: Calibration, camera: int) -> dict[str, Any]:
     """Parameters with standard deviations, coverage, and where to hold the board next."""
     rig, size = calibration.rig, calibration.rig.camera_size
-    values = np.asarray(rig.cameras.lens.parameters)[camera]
+    values, model = np.asarray(rig.cameras.lens.parameters)[camera], rig.lens_models[camera]
+    own = np.concatenate([np.ones(COMMON, bool), own_coefficients(type(rig.cameras.lens), model)])
     covariance, sigmas = calibration.camera_covariance, [None] * len(values)
     if covariance is not None:
-        own = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))[camera * size + len(POSE_NAMES) : (camera + 1) * size]
-        sigmas = [float(value) for value in own]
+        every = np.sqrt(np.maximum(np.diagonal(covariance), 0.0)).reshape(len(rig), size)
+        sigmas = every[camera, len(POSE_NAMES) :][own].tolist()
     place, worst = where_next(calibration, camera), lens_sigma_map(calibration, camera)
-    names = type(rig.cameras.lens).parameter_names()
+    names = model.parameter_names()
     return {
         "name": rig.names[camera],
-        "lens": type(rig.cameras.lens).name,
-        "parameters": dict(zip(names, map(float, values))),
+        "lens": model.name,
+        "parameters": dict(zip(names, values[own].tolist())),
         "sigmas": dict(zip(names, sigmas)),
         "coverage": float(calibration.pairs.coverage[camera]),
         "lens_sigma_px": None if worst is None or not np.isfinite(worst).any() else float(np.nanmedian(worst)),

@@ -157,7 +157,8 @@ def _in_unit(sources: list[Path], saved: SavedCalibration, unit: str | None) -> 
 
 def _summary(saved: SavedCalibration, fmt: CalibrationFormat, target: Path) -> str:
     cameras = f"{len(saved.rig)} cameras" if len(saved.rig) > 1 else "1 camera"
-    lens, what = saved.rig.cameras.lens.name, "" if saved.posed else ", lenses without poses"
+    lens = " and ".join(sorted({model.name for model in saved.rig.lens_models}))
+    what = "" if saved.posed else ", lenses without poses"
     return f"{fmt.title} of {cameras} ({lens} lens{what}): {target}"
 
 

@@ -52,7 +52,7 @@ class Intrinsics(Options):
         hush_opencv(self.verbose)
         from jaxpoint.calibration.board_calibration import calibrate_boards
         from jaxpoint.calibration.covariance import with_board_covariance
-        from jaxpoint.camera.lenses import lens_of_choice
+        from jaxpoint.camera.lenses import check_setting
         from jaxpoint.commands.board_outcome import write_board_outcome
         from jaxpoint.detection.board.board_search import detect_board
         from jaxpoint.detection.board.board_spec import read_board
@@ -60,7 +60,7 @@ class Intrinsics(Options):
 
         out, board = self.needed_folder("runs/lens"), read_board(self.board)
         if self.lens.distortion != "auto":
-            lens_of_choice(self.lens.distortion)  # refuses a wrong one before any work
+            check_setting(self.lens.distortion)  # before any work
         if self.lens.known != "none":
             raise UsageError(f"--lens.known {self.lens.known} belongs to rigs; `intrinsics` solves for the lens.")
         sources = open_board_sources(self.images, [] if self.name is None else [self.name])

@@ -62,8 +62,9 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
         )
         for camera, mean in zip(figures["cameras"], errors["per_camera_mean_px"])
     ]
-    first_coefficient = next(iter(calibration.rig.cameras.lens.coefficients), None)
-    first_coefficient = "distortion" if first_coefficient is None else first_coefficient.name
+    first_coefficients = {next((c.name for c in model.coefficients), None) for model in calibration.rig.lens_models}
+    first_coefficient = next(iter(first_coefficients)) if len(first_coefficients) == 1 else None
+    first_coefficient = first_coefficient or "distortion"
     header = ("camera", "focal px", "centre px", first_coefficient, "kept", "mean px")
     late = calibration.time_offsets
     if late is not None:

@@ -74,7 +74,7 @@ class Stereo(Options):
     def _solve(self, out: Path, sources: BoardSources, console: Console) -> Outcome:
         from jaxpoint.calibration.board_calibration import calibrate_boards
         from jaxpoint.calibration.covariance import with_board_covariance
-        from jaxpoint.camera.lenses import lens_of_choice
+        from jaxpoint.camera.lenses import check_setting
         from jaxpoint.commands.board_outcome import write_board_outcome
         from jaxpoint.commands.stereo_results import StereoResults
         from jaxpoint.detection.board.board_search import detect_board
@@ -83,7 +83,7 @@ class Stereo(Options):
         assert self.board is not None
         board = read_board(self.board)
         if self.lens.distortion != "auto":
-            lens_of_choice(self.lens.distortion)  # refuses a wrong one before any work
+            check_setting(self.lens.distortion)  # before any work
         settings = replace(self.room.calibrate, lens=self.lens, outliers=self.outliers)
         with console.progress() as progress:
             detection = detect_board(sources, board, every=self.every, progress=progress)

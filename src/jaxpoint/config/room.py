@@ -76,7 +76,11 @@ class LensSettings:
     distortion: str = "auto"
     """Lens model: `none`, `radial1`, `radial2` and `brown` free none, k1, k1 and k2, and all of Brown's coefficients;
     `rational` is OpenCV's with 8, `fisheye` Kannala and Brandt's, `pinhole` has none. `auto` begins with `radial2`, and
-    takes `brown` or, where a lens is wide, `fisheye` where that explains the recording better."""
+    takes `brown` or, where a lens is wide, `fisheye` where that explains the recording better. Cameras of several kinds
+    are named: `brown,cam_2=fisheye` is Brown's of all but cam_2."""
+    shared: tuple[str, ...] = ()
+    """Groups of cameras with one lens in common, `cam_0,cam_1`; `all` for all cameras. For cameras of one kind at one
+    zoom and focus: fewer unknowns where a recording is short."""
     aspect: str | float = "auto"
     """Width over height of a pixel. `auto`: what the video states, else square, and solved for where the recording
     refutes that; `fixed`: square; `free`: solved for; or a number or fraction, such as 16/15 for PAL video."""

@@ -12,6 +12,7 @@ from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.lenses import LENSES
+from jaxpoint.camera.mixed import embedded, mixed_lens
 from jaxpoint.camera.rational import Rational
 from jaxpoint.errors import FileFormatError
 
@@ -90,13 +91,9 @@ def _opencv(where: str, values: np.ndarray) -> tuple[type[AbstractLens], np.ndar
 
 
 def common_model(
-    where: str, models: Sequence[type[AbstractLens]], coefficients: Sequence[Any]
+    models: Sequence[type[AbstractLens]], coefficients: Sequence[Any]
 ) -> tuple[type[AbstractLens], Float[np.ndarray, "C k"]]:
-    """The one model that has all of these lenses exactly, and their coefficients in it.
-
-    Raises:
-        FileFormatError: there is none, as of a fisheye and Brown's.
-    """
+    """The one class that has all of these lenses exactly (mixed, where it must be), and their coefficients in it."""
     kinds = set(models)
     if len(kinds) == 1:
         return models[0], np.array([list(row) for row in coefficients], dtype=float).reshape(len(models), -1)
@@ -104,7 +101,5 @@ def common_model(
         count = RATIONAL_COUNT if Rational in kinds else BROWN_COUNT
         padded = [[*row, *[0.0] * (count - len(row))] for row in coefficients]
         return (Rational if count == RATIONAL_COUNT else Brown), np.array(padded, dtype=float)
-    names = ", ".join(sorted(kind.name for kind in kinds))
-    raise FileFormatError(
-        f"{where} mixes lens models that cannot be one rig yet ({names}); calibrate all its lenses with one model."
-    )
+    whole = mixed_lens(models)
+    return whole, np.array([embedded(whole, *own) for own in zip(models, coefficients)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from jaxpoint.io.track_files import load_tracks, save_tracks
 VERSION = 1
 ARRAYS = ("points", "point_valid", "residuals", "verdicts")
 FREEDOM = ("free", "prior_mean", "prior_weight")  # fields of `Freedom`
+OWNER = "lens_owner"  # where cameras have a lens in common
 
 
 def save_result(folder: Path, calibration: Calibration, provenance: dict[str, Any]) -> None:
@@ -56,6 +57,8 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         arrays = {name: np.asarray(getattr(calibration, name)) for name in ARRAYS}
         if calibration.freedom is not None:
             arrays |= {name: getattr(calibration.freedom, name) for name in FREEDOM}
+            owner = calibration.freedom.owner
+            arrays |= {} if owner is None else {OWNER: owner}
         np.savez_compressed(file, about=np.array(json.dumps(about, default=_plain)), **arrays)  # pyright: ignore[reportArgumentType]
 
 
@@ -74,6 +77,8 @@ def load_result(folder: Path) -> Calibration:
             arrays = {name: stored[name] for name in ARRAYS}
             # Runs of earlier days do not have it; `uncertainty_of` says so where it is needed.
             freedom = Freedom(*(stored[name] for name in FREEDOM)) if set(FREEDOM) <= set(stored.files) else None
+            if freedom is not None and OWNER in stored.files:
+                freedom = replace(freedom, owner=stored[OWNER])
             about = json.loads(str(stored["about"]))
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {path}; give the folder of a run of `calibrate`.") from None

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.mixed import own_coefficients
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import UNITS, StrPath
@@ -157,7 +158,7 @@ def rig_of_entries(path: StrPath, cameras: list[CameraEntry], poses: bool) -> Ca
             "(--intrinsics), and use the calibration that comes out."
         )
     k = np.array([camera.K for camera in cameras])
-    model, distortion = common_model(str(path), *zip(*(lens_of_entry("", camera) for camera in cameras)))
+    model, distortion = common_model(*zip(*(lens_of_entry("", camera) for camera in cameras)))
     reach = np.array([np.inf if isinstance(c.reach_px, msgspec.UnsetType) else c.reach_px for c in cameras])
     with jax.enable_x64(True):
         rig = CameraRig.from_parameters(
@@ -181,12 +182,12 @@ def entries_of(rig: CameraRig) -> list[CameraEntry]:
     k = np.tile(np.eye(3), (count, 1, 1))
     k[:, [0, 1], [0, 1]] = focal
     k[:, :2, 2] = center
-    model = type(cameras.lens)
-    distortion = np.asarray(cameras.distortion, float)
+    models, given = rig.lens_models, np.asarray(cameras.distortion, float)
+    distortion = [own[own_coefficients(type(cameras.lens), model)] for model, own in zip(models, given)]
     rotation = np.asarray(cameras.cam_from_world.rotation, float)
     translation = np.asarray(cameras.cam_from_world.translation, float)
     sizes = np.asarray(rig.image_sizes).astype(int)
-    for name, values in (("K", k), ("distortion", distortion), ("rotation", rotation), ("translation", translation)):
+    for name, values in (("K", k), ("distortion", given), ("rotation", rotation), ("translation", translation)):
         check_finite_numbers(name, values)
     reach = np.full(count, np.inf) if rig.reach is None else np.asarray(rig.reach, float)
     return [
@@ -196,7 +197,7 @@ def entries_of(rig: CameraRig) -> list[CameraEntry]:
             lens=msgspec.UNSET if model is Brown else model.name,
             reach_px=float(end) if np.isfinite(end) else msgspec.UNSET,
         )
-        for name, end, *parts in zip(rig.names, reach, sizes, k, distortion, rotation, translation)
+        for name, end, model, *parts in zip(rig.names, reach, models, sizes, k, distortion, rotation, translation)
     ]
 
 

@@ -12,6 +12,7 @@ from jaxpoint.calibration.expected import ADDED, Gain, boxes_of, eighths, expect
 from jaxpoint.calibration.gauge import centres_by_parameters
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.calibration.uncertainty import variance_px2
+from jaxpoint.camera.mixed import own_coefficients
 from jaxpoint.report.advice import Advice
 from jaxpoint.report.summary import RigScene, Summary
 from jaxpoint.report.tables import Table
@@ -136,14 +137,14 @@ def camera_table(calibration: Calibration, summary: Summary) -> Table | None:
     places = np.sqrt(np.maximum(np.einsum("cip,cpq,ciq->ci", by_parameters, blocks, by_parameters), 0.0))
     turned = np.rad2deg(np.sqrt((sigma[:, :3] ** 2).sum(axis=1)))
     unit = "mm" if aligned else "thousandths"
-    rows = []
-    for c, name in enumerate(summary.names):
+    rows, kind = [], type(calibration.rig.cameras.lens)
+    for c, (name, model) in enumerate(zip(summary.names, calibration.rig.lens_models)):
         square = np.ptp(summary.focal[c]) < 1e-9 * summary.focal[c, 0]
         rows.append([
             name,
             with_sigmas(summary.focal[c, : 1 if square else 2], sigma[c, 6:8]),
             with_sigmas(summary.center[c], sigma[c, 8:10]),
-            with_sigmas(summary.distortion[c], sigma[c, 10:]) or "none",
+            with_sigmas(summary.distortion[c], sigma[c, 10:][own_coefficients(kind, model)]) or "none",
             "± " + ", ".join(f"{1e3 * off:.1f}" for off in places[c]),
             f"± {turned[c]:.3f}°",
         ])  # fmt: skip

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.camera.lens import AbstractLens
+from jaxpoint.camera.mixed import plain_lens
 from jaxpoint.compilation import jit_once
 from jaxpoint.report.summary import Lens, RigScene, Summary
 
@@ -24,6 +25,7 @@ def summarise(calibration: Calibration) -> Summary:
     pose, valid = cameras.cam_from_world, np.asarray(calibration.point_valid)
     rotation, translation = np.asarray(pose.rotation), np.asarray(pose.translation)
     focal, center = np.asarray(cameras.focal), np.asarray(cameras.center)
+    lenses = [plain_lens(camera.lens) for camera in calibration.rig]
     scene = RigScene(
         centers=-np.einsum("cji,cj->ci", rotation, translation),
         world_from_cam=np.swapaxes(rotation, 1, 2),
@@ -51,8 +53,8 @@ def summarise(calibration: Calibration) -> Summary:
         shared=np.asarray(calibration.pairs.shared),
         focal=focal,
         center=center,
-        distortion=np.asarray(cameras.distortion),
-        lens_model=cameras.lens.name,
+        distortion=tuple(np.asarray(lens.distortion) for lens in lenses),
+        lens_models=tuple(lens.name for lens in lenses),
         view_deg=_views_deg(cameras.lens, tracks.image_sizes),
         scene=scene,
         lens=lens_profile(distort, focal, center, tracks.image_sizes, tracks.pixels, calibration.kept),

@@ -91,8 +91,8 @@ class Summary:
     shared: Int[np.ndarray, "C C"]
     focal: Float[np.ndarray, "C 2"]
     center: Float[np.ndarray, "C 2"]
-    distortion: Float[np.ndarray, "C K"]  # the lens model's coefficients
-    lens_model: str  # its name
+    distortion: tuple[Float[np.ndarray, " k"], ...]  # the coefficients of each lens
+    lens_models: tuple[str, ...]  # names
     view_deg: Float[np.ndarray, " C"]  # between what the middles of the left and right edges see
     scene: RigScene
     lens: Lens

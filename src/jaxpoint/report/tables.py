@@ -110,10 +110,11 @@ _SHORT = {"kannala_brandt": "fisheye"}  # names of lens models that a table has 
 
 def _distortion_text(summary: Summary, camera: int) -> str:
     """The coefficients of a lens that are not 0 at the end, with the model's name where it is not Brown's."""
-    brown = summary.lens_model == "brown"
+    model = summary.lens_models[camera]
+    brown = model == "brown"
     digits = ".4g" if brown else ".2g"
     values = ", ".join(format(k, digits) for k in _without_tail(summary.distortion[camera].tolist())) or "none"
-    return values if brown else f"{_SHORT.get(summary.lens_model, summary.lens_model)}: {values}"
+    return values if brown else f"{_SHORT.get(model, model)}: {values}"
 
 
 def offset_texts(late: TimeOffsets) -> list[str]:

@@ -114,9 +114,9 @@ def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Ra
     focal = rng.uniform(500.0, 1500.0, cameras)
     center = (np.array(IMAGE_PX) - 1) / 2 + rng.normal(0.0, 0.015 * IMAGE_PX[0], (cameras, 2))
     distortion = np.stack([_random_lens(rng, f) for f in focal])
-    rotation, translation = _random_poses(rng, cameras, layout)
+    rotation, translation = random_poses(rng, cameras, layout)
     lens = (focal, center, distortion, rotation, translation)
-    path = _waved_path(rng, *wave)
+    path = waved_path(rng, *wave)
     shown = np.stack([path(np.arange(frames) - offset) for offset in offsets], axis=1)
     exact, in_view = _seen_by_each(lens, shown)
     visible = in_view & (rng.random(in_view.shape) < kept)
@@ -145,7 +145,7 @@ def _random_lens(rng, focal) -> np.ndarray:
     return np.array([k1, k2, 0.0, 0.0, 0.0])
 
 
-def _random_poses(rng, cameras, layout) -> tuple[np.ndarray, np.ndarray]:
+def random_poses(rng, cameras, layout) -> tuple[np.ndarray, np.ndarray]:
     """Cameras on the walls, 1.5 to 2.9 m up, looking near the middle of the room. Returns cam_from_world (R, t)."""
     share = (np.arange(cameras) + rng.uniform(0.1, 0.9, cameras)) / cameras
     if layout == "wall":
@@ -178,7 +178,7 @@ def _on_walls(share) -> np.ndarray:
     return np.array([0.1, 2 * (length + width) - along])
 
 
-def _waved_path(rng, frames, stride) -> Callable[[np.ndarray], np.ndarray]:
+def waved_path(rng, frames, stride) -> Callable[[np.ndarray], np.ndarray]:
     """A smooth walk of a hand-held light through the room: places (m) at any moments, in frames."""
     from scipy.interpolate import CubicSpline
 

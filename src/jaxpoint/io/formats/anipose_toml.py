@@ -81,8 +81,9 @@ def write_calibration_toml(
         ValueError: a number is not finite.
         UsageError: the format has no place for a lens of this model.
     """
-    if type(rig.cameras.lens) not in MODELS:
-        raise UsageError(f"calibration.toml has no place for a {rig.cameras.lens.name} lens; use calibration.json.")
+    for model in rig.lens_models:
+        if model not in MODELS:
+            raise UsageError(f"calibration.toml has no place for a {model.name} lens; use calibration.json.")
     content = {f"cam_{i}": anipose_table(camera) for i, camera in enumerate(entries_of(rig))}
     content["metadata"] = {"adjusted": True, "error": 0.0, "unit": unit, **(metadata or {})}
     with replacing(path) as file:
