@@ -147,6 +147,15 @@ def test_a_view_that_contradicts_the_others_is_left_out(solved_room):
     assert 0.1 < found.sigma_px < 0.6  # simulated with 0.3
 
 
+def test_expected_errors_are_those_that_are_made(solved_room):
+    """Against the simulated truth; in the median, for two views alone do not show an outlier along their lines."""
+    known, calibration = solved_room
+    found = points_of_tracks(calibration.rig, calibration.tracks, 5.0)
+    errors = (found.points - known.room.points)[found.valid] / found.sigmas[found.valid, None]
+    assert found.valid.sum() > 60
+    assert 0.8 < np.median(np.abs(errors)) / 0.6745 < 1.25
+
+
 @pytest.mark.parametrize(
     ("flags", "code", "sentence"),
     [

@@ -1,5 +1,7 @@
 """Frames of unsynchronised files on common moments."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from jaxpoint.commands.inputs import tracks_from
 from jaxpoint.config import InputSettings
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.timestamps import read_timestamps, synchronise
-from jaxpoint.tracks import Tracks
+from jaxpoint.tracks import PointPrior, Tracks
 
 # Camera 1 starts one frame later and camera 0 drops sync index 12; rows in no order.
 ROWS = [(10, 0, 0, 1.0), (12, 1, 1, 1.21), (11, 1, 0, 1.11), (11, 0, 1, 1.1), (13, 0, 2, 1.3), (13, 1, 2, 1.31)]
@@ -46,6 +48,28 @@ def test_tracks_come_to_common_moments(tmp_path):
     np.testing.assert_allclose(together.times, [1.005, 1.105, 1.205, 1.305])
     with pytest.raises(InsufficientDataError, match="frame 2 of camera 'cam_1', but the tracks end at frame 1"):
         synchronise(tracks.select_frames(np.arange(2)), stamps)
+
+
+def test_several_points_come_each_to_common_moments(tmp_path):
+    """As each does that is alone, but for moments in which nobody sees it."""
+    stamps = read_timestamps(write(tmp_path / "timestamps.csv", ROWS))
+    pixels = np.random.default_rng(0).uniform(1, 400, (2, 3, 2, 2))  # points, frames, cameras
+    pixels[0, 1] = pixels[1, 0, 0] = np.nan
+    sizes, names = np.array([[640, 480], [1280, 720]]), ("cam_0", "cam_1")
+    both = Tracks.from_pixels(
+        pixels.reshape(6, 2, 2), sizes, frame_ids=np.tile(np.arange(3), 2), names=names,
+        point_ids=np.repeat([3, 7], 3), point_names=[f"p{i}" for i in range(8)],
+    )  # fmt: skip
+    together = synchronise(both, stamps)
+    assert together.point_names == both.point_names
+    for place, point in enumerate((3, 7)):
+        alone = synchronise(Tracks.from_pixels(pixels[place], sizes, names=names), stamps)
+        seen, own = alone.visible.any(axis=1), together.point_ids == point
+        for name in ("pixels", "visible", "frame_ids", "times"):
+            np.testing.assert_array_equal(getattr(together, name)[own], getattr(alone, name)[seen])
+    known = replace(both, prior=PointPrior(np.zeros((6, 3)), np.ones(6)))
+    with pytest.raises(InsufficientDataError, match="Points of known place have no moments"):
+        synchronise(known, stamps)
 
 
 def test_times_rise_where_cameras_of_other_clocks_drop_out(tmp_path):

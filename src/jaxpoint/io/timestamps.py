@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxpoint.errors import FileFormatError, InsufficientDataError
 from jaxpoint.io.files import Row, StrPath, natural_key, read_table
-from jaxpoint.tracks import Tracks
+from jaxpoint.tracks import ROWS, SERIES, Tracks
 
 
 @dataclass(frozen=True)
@@ -77,18 +77,28 @@ class Timestamps:
 def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
     """Tracks on the common moments, from tracks whose frame numbers count each camera's own file from 0.
 
-    Frame ids become the sync indices, times the mean times. Frames that the timestamps do not name are left out.
+    Frame ids become the sync indices, times the mean times. Frames that the timestamps do not name are left out; of
+    several points each is put on the moments by itself, and the moments in which nobody sees it are left out.
 
     Raises:
-        InsufficientDataError: a camera is not in the timestamps, these speak of frames that the tracks have not, or
-            the tracks hold several points.
+        InsufficientDataError: a camera is not in the timestamps, these speak of frames that the tracks of a light have
+            not, or the tracks hold points of known place.
     """
     stamps = timestamps.select(tracks.names)
-    if tracks.point_ids is not None:
-        raise InsufficientDataError(
-            "Timestamps put the frames of one light on common moments, but these tracks hold several points; detect "
-            "them in frames that are already in step."
-        )
+    if tracks.point_ids is None:
+        _check_last(tracks, stamps)
+        return _on_moments(tracks, stamps)
+    if tracks.prior is not None:
+        raise InsufficientDataError("Points of known place have no moments; join them to the tracks after these.")
+    _, point = np.unique(tracks.series_ids // SERIES, return_inverse=True)
+    parts = [_on_moments(tracks.select_frames(np.flatnonzero(point == p)), stamps) for p in range(int(point.max(initial=-1)) + 1)]
+    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROWS}
+    whole = replace(tracks, **joined)
+    return whole.select_frames(whole.visible.any(axis=1))
+
+
+def _check_last(tracks: Tracks, stamps: Timestamps) -> None:
+    """Refuse timestamps of more frames than the tracks of a light have, which hold all frames."""
     last = int(tracks.frame_ids.max(initial=-1))
     if stamps.frame_index.max() > last:
         camera = int(stamps.frame_index.max(axis=0).argmax())
@@ -96,17 +106,23 @@ def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
             f"The timestamps speak of frame {stamps.frame_index.max()} of camera '{tracks.names[camera]}', but the "
             f"tracks end at frame {last}; use the timestamps.csv of this recording."
         )
-    row_of_frame = np.full(last + 1, -1)
+
+
+def _on_moments(tracks: Tracks, stamps: Timestamps) -> Tracks:
+    """The rows of one point, one for each moment."""
+    row_of_frame = np.full(max(int(stamps.frame_index.max()), int(tracks.frame_ids.max(initial=0))) + 1, -1)
     row_of_frame[tracks.frame_ids] = np.arange(tracks.frames)
     row = np.where(stamps.present, row_of_frame[stamps.frame_index], -1)
-    camera = np.arange(tracks.cameras)[None]
-    visible = (row >= 0) & tracks.visible[row, camera]
+    visible = (row >= 0) & tracks.visible[row, np.arange(tracks.cameras)[None]]
+    moments = len(stamps.sync_indices)
     return replace(
         tracks,
-        pixels=np.where(visible[..., None], tracks.pixels[row, camera], 0.0),
+        pixels=np.where(visible[..., None], tracks.pixels[row, np.arange(tracks.cameras)[None]], 0.0),
         visible=visible,
         frame_ids=stamps.sync_indices,
         times=stamps.times,
+        point_ids=None if tracks.point_ids is None else np.full(moments, tracks.point_ids[0]),
+        target_ids=None if tracks.target_ids is None else np.full(moments, tracks.target_ids[0]),
     )
 
 

@@ -85,9 +85,9 @@ def series_of(tracks: Tracks, found: TrackPoints, fps: float | None = None) -> P
     if count > MAX_FRAMES:
         raise InsufficientDataError(f"The frames go from {first} to {frames.max()}, {count:.2g} of them; count from 0.")
     keys = [_point_key(tracks, row) for row in range(tracks.frames)]
-    names = list(dict.fromkeys(keys))
+    names = {name: place for place, name in enumerate(dict.fromkeys(keys))}
     shape = count, len(names)
-    where = frames - first, np.array([names.index(keys[row]) for row in rows])
+    where = frames - first, np.array([names[keys[row]] for row in rows])
     points, sigmas, rms = np.full((*shape, 3), np.nan), np.full(shape, np.nan), np.full(shape, np.nan)
     cameras = np.zeros(shape, int)
     points[where], sigmas[where], rms[where] = found.points[rows], found.sigmas[rows], found.rms_px[rows]
