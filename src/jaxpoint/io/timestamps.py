@@ -90,11 +90,11 @@ def synchronise(tracks: Tracks, timestamps: Timestamps) -> Tracks:
         return _on_moments(tracks, stamps)
     if tracks.prior is not None:
         raise InsufficientDataError("Points of known place have no moments; join them to the tracks after these.")
-    _, point = np.unique(tracks.series_ids // SERIES, return_inverse=True)
-    parts = [_on_moments(tracks.select_frames(np.flatnonzero(point == p)), stamps) for p in range(int(point.max(initial=-1)) + 1)]
+    _, first = np.unique(tracks.series_ids // SERIES, return_index=True)
+    parts = [_on_moments(tracks.select_frames(rows), stamps) for rows in np.split(np.arange(tracks.frames), first[1:])]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ROWS}
     whole = replace(tracks, **joined)
-    return whole.select_frames(whole.visible.any(axis=1))
+    return whole.select_frames(np.flatnonzero(whole.visible.any(axis=1)))
 
 
 def _check_last(tracks: Tracks, stamps: Timestamps) -> None:
