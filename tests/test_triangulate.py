@@ -74,6 +74,8 @@ def test_c3d_is_what_ezc3d_reads(fly, table, data_folder):
     sample = ezc3d.c3d(str(data_folder / "formats/c3d/dlc2kinematics_runway03.c3d"))
     point = file["parameters"]["POINT"]
     assert set(point) >= {"USED", "SCALE", "RATE", "FRAMES", "LABELS", "UNITS"} <= set(sample["parameters"]["POINT"])
+    screen = [sample["parameters"]["POINT"][f"{axis}_SCREEN"]["value"] for axis in "XY"]
+    assert [point[f"{axis}_SCREEN"]["value"] for axis in "XY"] == screen  # z up, as Vicon writes it
     assert (point["UNITS"]["value"], point["RATE"]["value"].tolist()) == (["mm"], [300.0])
     known = points_of(table)
     for p, name in enumerate(point["LABELS"]["value"]):
@@ -125,6 +127,7 @@ def test_missing_points_are_not_there(fly, tmp_path):
     missing = np.isnan(file["data"]["points"][0])
     assert np.argwhere(missing).tolist() == [[0, 3]]
     assert file["data"]["meta_points"]["residuals"][0, 0, 3] < 0
+    assert file["header"]["points"]["first_frame"] == 0
     row = (tmp_path / "points.trc").read_text().splitlines()[6 + 3].split("\t")
     assert row[2:5] == ["", "", ""]
     assert row[5]

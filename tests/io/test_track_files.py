@@ -217,3 +217,14 @@ def test_what_is_no_tracks_file(tmp_path):
 
 def test_points_dat_itself(data_folder):
     assert read_tracks(data_folder / "svoboda_strawlab2010" / "points.dat").frames == 1125
+
+
+def test_points_of_a_long_table_may_have_names(tmp_path):
+    path = tmp_path / "tracks.csv"
+    path.write_text("frame,camera,point,x,y\n0,a,nose,1,2\n0,a,tail,3,4\n1,b,nose,5,6\n")
+    tracks = read_tracks(path, image_sizes=(640, 480))
+    assert tracks.point_names == ("nose", "tail")
+    assert list(zip(tracks.point_ids.tolist(), tracks.frame_ids.tolist())) == [(0, 0), (0, 1), (1, 0)]
+    path.write_text("frame,camera,point,x,y\n0,a,1,1,2\n0,a,tail,3,4\n")
+    with pytest.raises(FileFormatError, match="line 3: column 'point' is 'tail', which is not a number"):
+        read_tracks(path, image_sizes=(640, 480))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.errors import MissingDependencyError, UsageError
+from jaxpoint.geometry.world_axes import World
 from jaxpoint.io.point_formats.point_series import PointFormat, PointSeries
 
 MOST_FRAMES = 65535  # what the two bytes of its header count
@@ -34,6 +35,9 @@ def points_c3d(series: PointSeries) -> bytes:
     point = file["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"] = [rate], ["mm"]
     point["LABELS"]["value"] = list(series.names)
+    across, up = _screen(series.world)
+    file.add_parameter("POINT", "X_SCREEN", [across])
+    file.add_parameter("POINT", "Y_SCREEN", [up])
     step_mm = 1e3 * float(np.nanmax(series.sigmas_m)) / STEPS
     point["SCALE"]["value"] = [-step_mm]  # negative: coordinates are floating-point numbers
     places = np.ones((4, len(series.names), len(series.frame_ids)))
@@ -46,6 +50,12 @@ def points_c3d(series: PointSeries) -> bytes:
         path = Path(folder) / "points.c3d"
         file.write(str(path))
         return path.read_bytes()
+
+
+def _screen(world: World) -> tuple[str, str]:
+    """The axes that a viewer draws to the right and up: a level one, and that which is the room's z."""
+    up = int(np.abs(world.matrix[:, 2]).argmax())
+    return f"+{'YXX'[up]}", f"{'+' if world.matrix[up, 2] > 0 else '-'}{'XYZ'[up]}"
 
 
 def _ezc3d() -> Any:

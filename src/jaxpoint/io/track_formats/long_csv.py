@@ -1,10 +1,10 @@
 """Tracks in a long table: `frame,time,camera,x,y`, one line for each light seen.
 
 `time` (s; or `time_ms`, `time_us`, `time_ns`) may be left out; x or y empty or NaN means hidden. With several points a
-frame (ends of a wand, corners of a board) the column `point` tells them apart. Columns named u and v, or cam_id, are
-read too (`ALIASES`). The image sizes come from the columns `width,height`, else from the caller, else from a file
-`cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of the cameras; without it they are
-sorted by name, cam_2 before cam_10.
+frame (ends of a wand, corners of a board, keypoints) the column `point` tells them apart, by whole numbers or by names.
+Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes come from the columns `width,height`, else
+from the caller, else from a file `cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of
+the cameras; without it they are sorted by name, cam_2 before cam_10.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSize
     rows = read_table(path, LONG_COLUMNS, ALIASES)
     order, sizes = sizes_of_rows(path, rows, image_sizes)
     several = "point" in rows[0].values
-    keys = [(row.integer("point") if several else 0, row.integer("frame")) for row in rows]
+    point_names = _point_names(rows) if several else ()
+    ids = {name: place for place, name in enumerate(point_names)}
+    keys = [(_point(row, ids) if several else 0, row.integer("frame")) for row in rows]
     different = sorted(set(keys))
     pixels = scatter_pixels(rows, keys, different, order, ("x", "y"))
     times = _times(path, rows, keys, different)
@@ -58,7 +60,18 @@ def read_long_csv(path: StrPath, one_based: bool = False, image_sizes: ImageSize
         times=times,
         names=order,
         point_ids=points if several else None,
+        point_names=point_names,
     )
+
+
+def _point_names(rows: list[Row]) -> tuple[str, ...]:
+    """The names of points in the order of the table; none where the column `point` holds numbers."""
+    texts = tuple(dict.fromkeys(row.text("point") for row in rows))
+    return () if any(text[:1].isdigit() or text[:1] in "+-." for text in texts) else texts
+
+
+def _point(row: Row, ids: Mapping[str, int]) -> int:
+    return ids[row.text("point")] if ids else row.integer("point")
 
 
 def scatter_pixels(
