@@ -135,6 +135,13 @@ def test_bad_files_are_refused_in_a_sentence(formats, tmp_path):
         read_tracks(tmp_path / "bad.csv", image_sizes=SIZE)
 
 
+def test_a_filtered_file_beside_the_other_is_named(formats, tmp_path):
+    for name in ("leftDLC_resnet50_x", "leftDLC_resnet50_x_filtered", "rightDLC_resnet50_x"):
+        shutil.copy(formats / "deeplabcut/openfield_CollectedData.csv", tmp_path / f"{name}.csv")
+    with pytest.raises(FileFormatError, match=r"x\.csv and leftDLC_resnet50_x_filtered\.csv are both of camera 'left'"):
+        read_tracks(tmp_path, image_sizes=SIZE)
+
+
 def test_points_in_3d_are_no_tracks(formats):
     pytest.importorskip("h5py")
     with pytest.raises(FileFormatError, match="points in 3-D"):

@@ -3,7 +3,7 @@
 `time` (s; or `time_ms`, `time_us`, `time_ns`) may be left out; x or y empty or NaN means hidden. With several points a
 frame (ends of a wand, corners of a board, keypoints) the column `point` tells them apart, by whole numbers or by names.
 Columns named u and v, or cam_id, are read too (`ALIASES`). The image sizes come from the columns `width,height`, else
-from the caller, else from a file `cameras.csv` (`camera,width,height`) in the same folder, which also fixes the order of
+from the caller, else from a file `cameras.csv` (`camera,width,height`) in that folder, which also fixes the order of
 the cameras; without it they are sorted by name, cam_2 before cam_10.
 """
 

@@ -36,9 +36,10 @@ def keypoint_files(folder: Path) -> tuple[TrackFormat, tuple[SourceFile, ...]]:
             f"{folder} holds keypoints of several formats ({', '.join(formats)}); keep the files of one there."
         )
     files = sorted_files(list(found))
-    names = camera_names(files)
-    if len(set(names)) < len(names):
-        raise FileFormatError(f"{folder}: the names of its files do not tell its cameras apart; name each by its own.")
+    by_name: dict[str, Path] = {}
+    for name, file in zip(camera_names(files), files):
+        if (other := by_name.setdefault(name, file)) is not file:
+            raise FileFormatError(f"{other} and {file.name} are both of camera '{name}'; keep one of them there.")
     return next(iter(formats.values())), tuple(map(SourceFile, files))
 
 

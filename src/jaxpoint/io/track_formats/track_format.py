@@ -47,7 +47,7 @@ class TrackRequest:
         if places is None:
             raise FileFormatError(
                 f"{self.label} has the cameras {', '.join(names)}; image sizes are known of "
-                f"{', '.join(self.image_sizes)}: name the cameras alike."
+                f"{', '.join(self.image_sizes)}: name the cameras alike, and give the folder of all."
             )
         sizes = list(self.image_sizes.values())
         return [sizes[place] for place in places]
