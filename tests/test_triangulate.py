@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from jaxpoint.calibration.result import TimeOffsets
 from jaxpoint.calibration.track_points import points_of_tracks
 from jaxpoint.cli import main
-from jaxpoint.io.exchange import read_calibration
+from jaxpoint.io.exchange import read_calibration, write_calibration
+from jaxpoint.io.rig_entries import SavedCalibration
 from jaxpoint.io.track_files import read_tracks, save_tracks
 from jaxpoint.tracks import Tracks
 
@@ -173,6 +175,30 @@ def test_what_cannot_be_is_said(fly, tmp_path, capsys, flags, code, sentence):
     triangulate(fly, tmp_path / flags[0], *flags[1:], expected=code)
     assert sentence in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_cameras_out_of_step_are_said(solved_room, tmp_path, capsys):
+    """And a calibration's covariance, of the cameras that the tracks have, makes its points less sure."""
+    calibration = solved_room[1]
+    size = calibration.rig.camera_size * 4
+    loose = 1e-4 * np.eye(size)
+    for name, covariance in (("sure", None), ("unsure", loose)):
+        offsets = None if covariance is None else TimeOffsets(np.array([0.0, 0.5, 0.0, 0.0]), np.full(4, 0.1))
+        saved = SavedCalibration(calibration.rig, covariance=covariance, gauge="free", time_offsets=offsets)
+        write_calibration(saved, tmp_path / f"{name}.json", "jaxpoint")
+    save_tracks(tmp_path / "tracks.npz", calibration.tracks.select_cameras([2, 0, 1]))
+    sigmas, said = {}, {}
+    for name in ("sure", "unsure"):
+        out = tmp_path / f"{name}.csv"
+        assert (
+            main(["triangulate", str(tmp_path / f"{name}.json"), str(tmp_path / "tracks.npz"), "--out", str(out)]) == 0
+        )
+        said[name] = capsys.readouterr().out
+        with out.open() as file:
+            sigmas[name] = np.array([float(row["sigma_m"]) for row in csv.DictReader(file)])
+    assert "found cameras out of step" in said["unsure"]
+    assert "out of step" not in said["sure"]
+    assert (sigmas["unsure"] > sigmas["sure"]).all()
 
 
 def test_worlds_and_losses_are_said(fly, tmp_path, capsys):

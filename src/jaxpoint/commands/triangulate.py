@@ -106,10 +106,17 @@ class Triangulate(Options):
             raise InsufficientDataError(f"'{self.tracks}' is of one camera; give a folder with a file for each.")
         return select_cameras(saved, places), tracks
 
-    def _notes(self, saved: SavedCalibration) -> tuple[str, ...]:
-        if saved.in_room:
-            return ()
-        return (f"'{self.calibration}' has metres, but neither floor nor up: the axes are those of its own frame.",)
+    def _notes(self, saved: SavedCalibration) -> list[str]:
+        """What must be known of the calibration."""
+        name, notes = f"'{self.calibration}'", []
+        if not saved.in_room:
+            notes.append(f"{name} has metres, but neither floor nor up: the axes are those of its own frame.")
+        if saved.time_offsets is not None and not self.input.offset:
+            notes.append(
+                f"{name} found cameras out of step; the tracks were taken as they are, so give --offset "
+                "if they were recorded so too."
+            )
+        return notes
 
 
 def _lines(tracks: Tracks, found: TrackPoints, series: PointSeries) -> list[str]:

@@ -74,13 +74,15 @@ def in_metres(saved: SavedCalibration, unit: str) -> SavedCalibration:
 
 
 def select_cameras(saved: SavedCalibration, places: Sequence[int]) -> SavedCalibration:
-    """Some of the cameras, in the order given, with their part of the covariance; without time offsets."""
-    covariance = saved.covariance
+    """Some of the cameras, in the order given, with their part of the covariance and their time offsets."""
+    covariance, offsets, chosen = saved.covariance, saved.time_offsets, list(places)
     if covariance is not None:
         size = len(covariance) // len(saved.rig)
-        index = np.concatenate([size * place + np.arange(size) for place in places])
+        index = np.concatenate([size * place + np.arange(size) for place in chosen])
         covariance = covariance[np.ix_(index, index)]
-    return replace(saved, rig=saved.rig.select(places), covariance=covariance, time_offsets=None)
+    if offsets is not None:
+        offsets = TimeOffsets(offsets.frames[chosen], offsets.sigma[chosen])
+    return replace(saved, rig=saved.rig.select(chosen), covariance=covariance, time_offsets=offsets)
 
 
 def needs_unit(path: StrPath, saved: SavedCalibration, unit: str | None) -> SavedCalibration:

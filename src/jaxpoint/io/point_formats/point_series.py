@@ -15,7 +15,7 @@ from jaxpoint.geometry.world_axes import WORLDS, World
 from jaxpoint.tracks import NO_TARGET, Tracks
 
 MAX_FRAMES = 10**7  # from the first frame to the last, of files with a line for each
-UNEVEN = 0.02  # of a step, by which times may differ from even ones in the mean
+EVEN = 1.0  # frames, by which times may differ from even ones in the mean
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,9 @@ class PointSeries:
             UsageError: it is not known.
         """
         if self.rate_hz is None:
-            raise UsageError(f"{title} needs the rate of the frames, which the tracks do not say: give --fps, as 60.")
+            raise UsageError(
+                f"{title} needs the rate of the frames, which the times of the tracks do not say: give --fps 60."
+            )
         return self.rate_hz
 
     def in_world(self, world: World) -> PointSeries:
@@ -105,7 +107,7 @@ def rate_of(tracks: Tracks) -> float | None:
         return None
     times = tracks.times[first]
     step = float(np.ptp(times)) / float(np.ptp(frames))
-    if step <= 0 or np.abs(times - times[0] - step * (frames - frames[0])).mean() > UNEVEN * step * len(frames):
+    if step <= 0 or np.abs(times - times[0] - step * (frames - frames[0])).mean() > EVEN * step:
         return None
     return 1.0 / step
 
