@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from jaxpoint.calibration.essential import FOCAL_GRID, chain, relative_pose, voted_focals
-from jaxpoint.calibration.hypotheses import Lenses, coefficients_of_division
+from jaxpoint.calibration.hypotheses import coefficients_of_division
 from jaxpoint.calibration.twoview import fundamental
-from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.lenses import chosen_lenses
 from jaxpoint.camera.parameters import adjusted_lenses
 
 
@@ -59,8 +59,7 @@ def test_voted_focals_are_the_nearest_of_the_grid(pinhole):
 @pytest.mark.parametrize("focal", [0.8, 1.6])
 def test_coefficients_of_a_division_bend_alike(lens, focal):
     reach = 0.95
-    lenses = Lenses(None, np.array([lens]), None, Brown, np.array([True, True, False, False, False]))
-    k1, k2 = coefficients_of_division(lens, focal, reach, lenses)[:2]
+    k1, k2 = coefficients_of_division(lens, focal, reach, chosen_lenses("radial2", ("cam_0",)))[:2]
     bent = np.linspace(0.0, reach, 200)
     straight = bent / (1.0 + lens * bent**2) / focal
     again = focal * straight * (1.0 + k1 * straight**2 + k2 * straight**4)

@@ -18,6 +18,8 @@ LENS_GRID = np.linspace(-0.6, 0.2, 9)  # division-model parameters per half diag
 # Where the first samples are drawn: two mild, two medium, two strong lenses, and one of each.
 FIRST_LENSES = np.array([[-0.05, -0.05], [-0.2, -0.2], [-0.45, -0.45], [-0.45, -0.05], [-0.05, -0.45]])
 LOOSE = 8.0 / 3.0  # the first pass, before the lenses are known, is this much more generous
+PARTNERS = 8  # of each camera, whose pairs tell the lenses; of a large rig all would take long and tell no more
+FEW_MATCHES = 256  # pairs are padded to these, or to the lengths of recordings
 PRIOR_MEAN, PRIOR_SIGMA = -0.15, 0.4  # of a division-model parameter, weak
 
 
@@ -68,26 +70,53 @@ def two_view_geometry(
     data: NormalisedTracks, settings: EpipolarSettings, seed: int, progress: Callable[[int, int], None] | None = None
 ) -> TwoViewGeometry:
     """Division-model lenses from all pairs together, then every pair's F, then the vote (DESIGN "Self-calibration")."""
-    pairs = _usable_pairs(data, settings.min_shared_frames)
+    shared = _shared_frames(data)
+    pairs = _usable_pairs(shared, settings.min_shared_frames)
     rng = np.random.default_rng(seed)
     cameras = data.points.shape[1]
     lenses = np.zeros(cameras)
-    total = len(pairs) * (2 if settings.division_model else 1)
-    if settings.division_model:
+    telling = _telling_pairs(shared, pairs) if settings.division_model else []
+    total = len(pairs) + len(telling)
+    if telling:
         tables = {}
-        for number, pair in enumerate(pairs):
-            tables[pair] = _pair_lens_table(data, pair, settings, rng)
+        for number, pair in enumerate(telling):
+            tables[pair] = _pair_lens_table(_matches(data, pair, shared), settings, rng)
             if progress:
                 progress(number + 1, total)
         lenses = joint_lenses(tables, cameras)
-    return _with_lenses(data, pairs, lenses, settings, rng, progress, total)
+    return _with_lenses(data, shared, pairs, lenses, settings, rng, progress, total)
 
 
-def _usable_pairs(data: NormalisedTracks, least: int) -> list[tuple[int, int]]:
+def _shared_frames(data: NormalisedTracks) -> np.ndarray:
+    """Frames (C, C) that two cameras share."""
     visible = data.visible.astype(int)
-    shared = visible.T @ visible
-    cameras = visible.shape[1]
+    return visible.T @ visible
+
+
+def _usable_pairs(shared: np.ndarray, least: int) -> list[tuple[int, int]]:
+    cameras = len(shared)
     return [(i, j) for i in range(cameras) for j in range(i + 1, cameras) if shared[i, j] >= least]
+
+
+def _telling_pairs(shared: np.ndarray, pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The pairs that tell the lenses: those of each camera with the partners that share most with it."""
+    chosen: set[tuple[int, int]] = set()
+    for camera in range(len(shared)):
+        own = [pair for pair in pairs if camera in pair]
+        chosen.update(sorted(own, key=lambda pair: (-shared[pair], pair))[:PARTNERS])
+    return [pair for pair in pairs if pair in chosen]
+
+
+def _matches(data: NormalisedTracks, pair: tuple[int, int], shared: np.ndarray) -> NormalisedTracks:
+    """The matches of one pair alone, padded to what the pair that shares most has."""
+    both = data.visible[:, pair[0]] & data.visible[:, pair[1]]
+    most = int(np.triu(shared, 1).max())
+    size = min(FEW_MATCHES if most <= FEW_MATCHES else padded_frames(most), len(both))
+    points, visible = np.zeros((size, 2, 2)), np.zeros((size, 2), bool)
+    points[: both.sum()], visible[: both.sum()] = data.points[both][:, pair], True
+    return NormalisedTracks(
+        points, visible, data.half_diagonals[list(pair)], data.widths[list(pair)], data.pixel_aspects[list(pair)]
+    )
 
 
 def pair_threshold(data: NormalisedTracks, pair, settings: EpipolarSettings) -> float:
@@ -109,16 +138,15 @@ def fit_pair(data, pair, settings, rng, lenses, threshold):
     )
 
 
-def _pair_lens_table(data, pair, settings, rng) -> np.ndarray:
-    """Summed robust cost of the pair for every two lenses of the grid."""
-    i, j = pair
-    threshold = pair_threshold(data, pair, settings)
-    loose = np.asarray(fit_pair(data, pair, settings, rng, FIRST_LENSES, LOOSE * threshold).inlier)
+def _pair_lens_table(matches: NormalisedTracks, settings: EpipolarSettings, rng: np.random.Generator) -> np.ndarray:
+    """Summed robust cost of a pair for every two lenses of the grid."""
+    threshold = pair_threshold(matches, (0, 1), settings)
+    loose = np.asarray(fit_pair(matches, (0, 1), settings, rng, FIRST_LENSES, LOOSE * threshold).inlier)
     table = lens_table(
-        data.points[:, i],
-        data.points[:, j],
+        matches.points[:, 0],
+        matches.points[:, 1],
         loose.astype(float),
-        data.half_diagonals[[i, j]],
+        matches.half_diagonals,
         LENS_GRID,
         np.float64(threshold * 2.0 / 3.0),
     )
@@ -170,24 +198,25 @@ def _parabola_minimum(cost: np.ndarray) -> float:
     return float(LENS_GRID[best] + np.clip(offset, -1.0, 1.0) * (LENS_GRID[1] - LENS_GRID[0]))
 
 
-def _with_lenses(data, pairs, lenses, settings, rng, progress, total) -> TwoViewGeometry:
+def _with_lenses(data, shared, pairs, lenses, settings, rng, progress, total) -> TwoViewGeometry:
     cameras = data.points.shape[1]
     fundamentals, agree, count = {}, np.zeros(data.visible.shape), np.zeros(data.visible.shape)
-    shared, inliers = np.zeros((cameras, cameras), int), np.zeros((cameras, cameras), int)
+    used, inliers = np.zeros((cameras, cameras), int), np.zeros((cameras, cameras), int)
     for number, (i, j) in enumerate(pairs):
-        both = data.visible[:, i] & data.visible[:, j]
+        matches, both = _matches(data, (i, j), shared), data.visible[:, i] & data.visible[:, j]
         offered = np.tile(lenses[[i, j]], (len(FIRST_LENSES), 1))
-        fit = fit_pair(data, (i, j), settings, rng, offered, pair_threshold(data, (i, j), settings))
-        good = np.asarray(fit.inlier)
+        fit = fit_pair(matches, (0, 1), settings, rng, offered, pair_threshold(matches, (0, 1), settings))
+        good = np.zeros(len(both), bool)
+        good[both] = np.asarray(fit.inlier)[: both.sum()]
         fundamentals[i, j] = np.asarray(fit.fundamental)
-        shared[i, j] = shared[j, i] = both.sum()
+        used[i, j] = used[j, i] = both.sum()
         inliers[i, j] = inliers[j, i] = good.sum()
         agree[:, [i, j]] += good[:, None]
         count[:, [i, j]] += both[:, None]
         if progress:
             progress(total - len(pairs) + number + 1, total)
     votes = np.where(count > 0, agree / np.maximum(count, 1), 1.0)
-    return TwoViewGeometry(lenses, fundamentals, shared, inliers, votes)
+    return TwoViewGeometry(lenses, fundamentals, used, inliers, votes)
 
 
 def undistort_points(points: np.ndarray, lenses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

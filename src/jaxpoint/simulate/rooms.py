@@ -180,12 +180,17 @@ def _on_walls(share) -> np.ndarray:
 
 def waved_path(rng, frames, stride) -> Callable[[np.ndarray], np.ndarray]:
     """A smooth walk of a hand-held light through the room: places (m) at any moments, in frames."""
-    from scipy.interpolate import CubicSpline
-
     knots = max(6, frames // stride)
     low, high = ROOM_M * 0.1, ROOM_M * [0.9, 0.9, 0.75]
-    path = CubicSpline(np.linspace(0.0, frames - 1.0, knots), rng.uniform(low, high, (knots, 3)))
+    path = smooth_path(rng.uniform(low, high, (knots, 3)), frames)
     return lambda moments: np.clip(path(moments), 0.05, ROOM_M - 0.05)
+
+
+def smooth_path(places: Float[np.ndarray, "K 3"], frames: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A smooth way through places, equally long from each to the next: where it is at any moments, in frames."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(np.linspace(0.0, frames - 1.0, len(places)), places)
 
 
 def _seen_by_each(lens, shown) -> tuple[np.ndarray, np.ndarray]:
