@@ -182,17 +182,16 @@ def test_cameras_out_of_step_are_said(solved_room, tmp_path, capsys):
     calibration = solved_room[1]
     size = calibration.rig.camera_size * 4
     loose = 1e-4 * np.eye(size)
-    for name, covariance in (("sure", None), ("unsure", loose)):
-        offsets = None if covariance is None else TimeOffsets(np.array([0.0, 0.5, 0.0, 0.0]), np.full(4, 0.1))
+    late = TimeOffsets(np.array([0.0, 0.5, 0.0, 0.0]), np.full(4, 0.1))
+    for name, covariance, offsets in (("sure", 1e-6 * loose, None), ("unsure", loose, late)):
         saved = SavedCalibration(calibration.rig, covariance=covariance, gauge="free", time_offsets=offsets)
         write_calibration(saved, tmp_path / f"{name}.json", "jaxpoint")
     save_tracks(tmp_path / "tracks.npz", calibration.tracks.select_cameras([2, 0, 1]))
     sigmas, said = {}, {}
     for name in ("sure", "unsure"):
         out = tmp_path / f"{name}.csv"
-        assert (
-            main(["triangulate", str(tmp_path / f"{name}.json"), str(tmp_path / "tracks.npz"), "--out", str(out)]) == 0
-        )
+        given = [str(tmp_path / file) for file in (f"{name}.json", "tracks.npz")]
+        assert main(["triangulate", *given, "--out", str(out)]) == 0
         said[name] = capsys.readouterr().out
         with out.open() as file:
             sigmas[name] = np.array([float(row["sigma_m"]) for row in csv.DictReader(file)])

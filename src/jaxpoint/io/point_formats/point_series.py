@@ -43,9 +43,7 @@ class PointSeries:
             UsageError: it is not known.
         """
         if self.rate_hz is None:
-            raise UsageError(
-                f"{title} needs the rate of the frames, which the times of the tracks do not say: give --fps 60."
-            )
+            raise UsageError(f"{title} needs the rate of the frames; the tracks do not say it evenly: give --fps 60.")
         return self.rate_hz
 
     def in_world(self, world: World) -> PointSeries:
