@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from jaxpoint import CalibrateSettings, CameraRig, Tracks, calibrate
 from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.normal import normal_equations
+from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.recording import NOISE_PX
 from jaxpoint.calibration.shared_lenses import groups_without, lens_owners
 from jaxpoint.config import LensSettings, OutlierSettings
@@ -113,6 +114,16 @@ def test_a_run_keeps_who_shares_a_lens(found, tmp_path):
     np.testing.assert_array_equal(again.freedom.owner, [0, 1, 0, 0])
     fresh = with_covariance(replace(again, camera_covariance=None))
     np.testing.assert_allclose(fresh.camera_covariance, found.camera_covariance, rtol=1e-5, atol=1e-14)
+
+
+def test_one_lens_for_unlike_cameras_is_refused(found, tracks):
+    assert assess(found, PLAIN).passed
+    for groups in (("cam_0,cam_1", "cam_2,cam_3"), ("all",)):
+        wrong = replace(PLAIN, lens=replace(SHARED, shared=groups), outliers=OutlierSettings())
+        judged = assess(with_covariance(calibrate(tracks, wrong)), wrong)
+        assert not judged.passed
+        assert "shared lens" in judged.causes
+        assert "cam_1" in str(judged.failure)
 
 
 @pytest.mark.parametrize(

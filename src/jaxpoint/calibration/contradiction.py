@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float
 from jaxpoint.calibration.clock_findings import Timing, contradicts, finding, flags
 from jaxpoint.calibration.clocks import find_clocks
 from jaxpoint.calibration.result import Calibration, Finding
+from jaxpoint.calibration.shared_lenses import shares_lens
 from jaxpoint.config import CalibrateSettings
 from jaxpoint.errors import ContradictionError
 from jaxpoint.tracks import Tracks
@@ -104,6 +105,12 @@ def _reason(tracks: Tracks, camera: int, others: Calibration, settings: Calibrat
             f"Its images are mirrored: {found.share:.0%} of its observations fit a camera with left and right "
             "exchanged.",
             f"Record {name} without the mirror or flip, or flip its images",
+        )
+    if found.share >= FITS and shares_lens(settings.lens.shared, name):
+        return (
+            "shared lens",
+            f"{found.share:.0%} of its observations fit a camera with a lens of its own.",
+            f"Leave {name} out of --lens.shared",
         )
     moved = None if found.share >= FITS else _moved(name, points, pixels, near, settings.seed)
     return moved or _clock(tracks, camera, settings) or _unknown(name, found.share)

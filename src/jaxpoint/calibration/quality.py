@@ -17,6 +17,7 @@ from jaxpoint.calibration.lens_checks import lens_findings
 from jaxpoint.calibration.normal import NormalEquations, normal_equations
 from jaxpoint.calibration.prior_checks import prior_findings
 from jaxpoint.calibration.result import Calibration, Finding, Level
+from jaxpoint.calibration.shared_checks import shared_lens_findings
 from jaxpoint.config import AlignSettings, CalibrateSettings
 from jaxpoint.errors import JaxpointError, NotConvergedError, QualityError
 
@@ -95,6 +96,7 @@ def assess(
     checks = tuple(_checks(calibration, settings, align))
     normal, geometry = _normal(calibration), list(determinacy_findings(calibration, settings))
     found = [
+        *shared_lens_findings(calibration, normal),
         *_without_corollary(calibration.findings, geometry),
         *geometry,
         *prior_findings(calibration, normal),

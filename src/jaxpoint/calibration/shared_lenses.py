@@ -57,6 +57,11 @@ def groups_without(groups: Sequence[str], camera: str) -> tuple[str, ...]:
     return tuple(",".join(members) for members in rest if len(members) > 1 or members == [ALL])
 
 
+def shares_lens(groups: Sequence[str], name: str) -> bool:
+    """Whether some group holds a camera."""
+    return any(group.strip() == ALL or name in [member.strip() for member in group.split(",")] for group in groups)
+
+
 def places_of(owner: Int[np.ndarray, " D"] | None, cameras: int, size: int, extra: int = 0) -> Int[np.ndarray, "D n"]:
     """For each parameter of each camera the place of what owns it, in the flat order of all.
 
