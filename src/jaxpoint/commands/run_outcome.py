@@ -14,7 +14,7 @@ from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome, at
 from jaxpoint.config import RoomConfig
 from jaxpoint.extras import extra
-from jaxpoint.report.tables import offset_texts
+from jaxpoint.report.tables import offset_texts, readout_texts
 from jaxpoint.runs import write_run
 
 
@@ -69,6 +69,10 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
     if late is not None:
         header = (*header, f"frames after {rows[0][0]}")
         rows = [(*row, offset) for row, offset in zip(rows, offset_texts(late))]
+    rolling = calibration.readout_times
+    if rolling is not None:
+        header = (*header, "frames first row to last")
+        rows = [(*row, readout) for row, readout in zip(rows, readout_texts(rolling))]
     summary = (
         f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
         f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "
