@@ -62,7 +62,8 @@ class NormalEquations:
         """The step and covariance when these parameters are free, under these priors (weighed for this noise).
 
         Args:
-            extra: which of the extra columns are free too, in all cameras but the first, which is the clock.
+            extra: which of the extra columns are free too; ROWS in all cameras, the others in all but the first, which
+                is the clock.
 
         Raises:
             LinAlgError: the observations leave more than a similarity open.
@@ -71,6 +72,7 @@ class NormalEquations:
         free = np.pad(freedom.free, more)
         weight = np.pad(np.where(freedom.free, freedom.prior_weight, 0.0), more)
         free[1:, list(extra)] = True
+        free[0, ROWS] = ROWS in extra
         pull = weight * np.pad(self.parameters - freedom.prior_mean, more)
         gradient = self.gradient.reshape(free.shape) + pull
         chosen = np.flatnonzero(free)

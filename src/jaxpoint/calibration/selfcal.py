@@ -12,6 +12,7 @@ import numpy as np
 from jaxpoint.calibration.aspects import with_stated_aspects
 from jaxpoint.calibration.assembly import MIN_EXPLAINED, assemble_calibration
 from jaxpoint.calibration.board_calibration import boards_alone, calibrate_boards
+from jaxpoint.calibration.clock_fit import Clock
 from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.initial import Inputs, Start, starts
@@ -21,6 +22,7 @@ from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
 from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
+from jaxpoint.calibration.readout_search import search_readouts
 from jaxpoint.calibration.recording import Recording
 from jaxpoint.calibration.refinement import Refinement, first_choice, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
@@ -40,6 +42,7 @@ MAX_CANDIDATE_COST = 3.0  # candidates that cost this many times more than the b
 COMPARED_BELOW = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
 FOLLOWED_ABOVE = 1.005  # those that keep this many times more when grown are followed to the end,
 # and below `assembly.MIN_EXPLAINED` all of them
+LONGEST_READOUT = 1.0  # frames: a camera reads an image before it takes the next
 
 
 def calibrate(
@@ -192,10 +195,21 @@ def _pair_geometry(tracks, recording, data, settings, intrinsics, progress: Prog
 
 
 def _rough_times(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> Times | None:
-    """Where to start with what the settings ask for: time offsets from pairs of cameras, and no readout times."""
-    readouts = np.zeros(tracks.cameras) if settings.readout_times else None
-    if not settings.time_offsets:
-        return None if readouts is None else Times(np.zeros(tracks.cameras), readouts, solve_offsets=False)
+    """Where to start with what the settings ask for: time offsets and readout times from pairs of cameras."""
+    if not settings.time_offsets and not settings.readout_times:
+        return None
+    offsets = np.zeros(tracks.cameras)
+    if settings.time_offsets:
+        offsets = _rough_offsets(tracks, settings, intrinsics, progress)
+    readouts = None
+    if settings.readout_times:
+        known = {camera: Clock(offset) for camera, offset in enumerate(offsets.tolist())}
+        found = search_readouts(tracks.of_one_point(), known, settings.epipolar, settings.seed, intrinsics)
+        readouts = np.clip(found.frames, -LONGEST_READOUT, LONGEST_READOUT)
+    return Times(offsets, readouts, settings.time_offsets)
+
+
+def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> np.ndarray:
     pairs = pair_offsets(
         tracks,
         settings.epipolar,
@@ -203,7 +217,7 @@ def _rough_times(tracks: Tracks, settings: CalibrateSettings, intrinsics, progre
         intrinsics,
         progress=lambda done, total: progress("time offsets", done, total),
     )
-    return Times(joint_offsets(pairs, tracks.cameras), readouts)
+    return joint_offsets(pairs, tracks.cameras)
 
 
 def _on_one_clock(recorded: Tracks, rough: Times, known_intrinsics: bool) -> tuple[Tracks, PairTable]:

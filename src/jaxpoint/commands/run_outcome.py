@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxpoint.calibration.clock_findings import readout_flags
 from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
@@ -73,6 +74,7 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
     if rolling is not None:
         header = (*header, "frames first row to last")
         rows = [(*row, readout) for row, readout in zip(rows, readout_texts(rolling))]
+    given = () if rolling is None else (f"in other recordings: {readout_flags(calibration.rig.names, rolling.frames)}",)
     summary = (
         f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
         f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "
@@ -90,7 +92,7 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
         )
     )
     care = [f"{item.finding} {item.remedy}." for item in quality.findings if item.level == "care"]
-    return (*table(header, rows), summary, *in_room, *care)
+    return (*table(header, rows), *given, summary, *in_room, *care)
 
 
 def _number(value: float | None, digits: str) -> str:
