@@ -1,15 +1,29 @@
 """Rolling shutters: simulated readout times come back, with the error of global shutters."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from jaxpoint.calibration import timing
 from jaxpoint.calibration.alignment import umeyama
+from jaxpoint.calibration.camera_clock import CameraClock, ClockSurvey
+from jaxpoint.calibration.clock_fit import Clock
+from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.quality import assess
+from jaxpoint.calibration.readout_search import search_readouts, survey_readouts
+from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.selfcal import calibrate
-from jaxpoint.config import CalibrateSettings
+from jaxpoint.config import CalibrateSettings, EpipolarSettings, LensSettings, OutlierSettings
+from jaxpoint.errors import UsageError
+from jaxpoint.report.advice import on_readouts
 from jaxpoint.simulate.rooms import random_room
+from jaxpoint.targets import Target
 
 READOUTS = np.array([0.8, 0.45, -0.65, 0.75, 0.7, 0.35])  # frames; one camera hangs upside down
 LATE = np.array([0.3, -0.6, 0.0, 0.8, -0.2, 0.5])  # frames
+IN_STEP = dict.fromkeys(range(6), Clock())
+KNOWN = LensSettings(known="hold")
 
 
 def room_with(readouts, late=None):
@@ -24,39 +38,110 @@ def mean_px(calibration):
     return calibration.errors[calibration.kept].mean()
 
 
-def error_mm(calibration, room):
-    """Median error of the points after a similarity."""
-    valid = calibration.point_valid
-    similarity = umeyama(calibration.points[valid], room.points[valid])
-    away = np.asarray(similarity @ calibration.points[valid]) - room.points[valid]
-    return 1e3 * np.median(np.linalg.norm(away, axis=1))
+def errors_mm(calibration, room):
+    """Rms error of the camera centres, median error of the points, after the similarity of the centres."""
+    similarity = umeyama(calibration.rig.positions, room.positions)
+    away = np.asarray(similarity @ calibration.points) - room.points
+    apart = np.asarray(similarity @ calibration.rig.positions) - room.positions
+    points = np.linalg.norm(away[calibration.point_valid], axis=1)
+    return 1e3 * np.sqrt((apart**2).sum(axis=1).mean()), 1e3 * np.median(points)
+
+
+def causes(calibration):
+    return [finding.cause for finding in assess(with_covariance(calibration), CalibrateSettings()).findings]
+
+
+def with_known_lenses(room, **settings):
+    return calibrate(room.tracks, CalibrateSettings(lens=KNOWN, **settings), intrinsics=room.rig)
 
 
 @pytest.fixture(scope="module")
-def control():
+def rolling():
+    return room_with(READOUTS)
+
+
+@pytest.fixture(scope="module")
+def straight():
     """The same room with global shutters."""
-    room = room_with(None)
-    return room, calibrate(room.tracks)
+    return room_with(None)
 
 
 @pytest.fixture(scope="module")
-def solved():
-    """A room of rolling shutters out of step, and its calibration."""
-    room = room_with(READOUTS, LATE)
-    return room, calibrate(room.tracks, CalibrateSettings(time_offsets=True, readout_times=True))
+def solved(rolling):
+    return calibrate(rolling.tracks, CalibrateSettings(readout_times=True))
 
 
-def test_readout_times_come_back(solved):
-    found = solved[1].readout_times
+def test_readout_times_come_back_with_nothing_known(solved):
+    found = solved.readout_times
     error = found.frames - READOUTS
-    assert solved[1].converged
+    assert solved.converged
+    assert solved.time_offsets is None
     assert np.abs(error / READOUTS).max() < 0.05
     assert (np.abs(error) < 3 * found.sigma).all()
     assert (found.sigma < 0.02).all()
 
 
-def test_so_do_the_offsets_of_the_middle_rows(solved):
-    found = solved[1].time_offsets
-    error = found.frames - (LATE - LATE[0])
-    assert np.abs(error).max() < 0.015
-    assert (np.abs(error[1:]) < 4 * found.sigma[1:]).all()
+def test_the_errors_fall_to_those_of_global_shutters(rolling, straight):
+    """With known lenses, whose errors would hide those of the shutters."""
+    control, plain, found = (
+        with_known_lenses(straight),
+        with_known_lenses(rolling),
+        with_known_lenses(rolling, readout_times=True),
+    )
+    assert mean_px(plain) > 2 * mean_px(control)
+    assert mean_px(found) == pytest.approx(mean_px(control), rel=0.05)
+    wanted, without, reached = errors_mm(control, straight), errors_mm(plain, rolling), errors_mm(found, rolling)
+    assert without[0] > 5 * wanted[0]  # centres
+    assert without[1] > 5 * wanted[1]  # points
+    assert reached[0] < 2 * wanted[0]
+    assert reached[1] < 1.15 * wanted[1]
+    assert np.abs(found.readout_times.frames / READOUTS - 1).max() < 0.05
+    assert found.kept.sum() > 0.9 * control.kept.sum()
+    assert "rolling shutter" in causes(plain)
+    assert "rolling shutter" not in causes(control) + causes(found)
+    (said,) = [f for f in assess(plain, CalibrateSettings()).findings if f.cause == "rolling shutter"]
+    assert "--readout-times" in said.remedy
+    worst = rolling.tracks.names.index(said.cameras[0])
+    assert ("after" if READOUTS[worst] > 0 else "before") in said.finding
+
+
+def test_offsets_and_readout_times_are_found_together(state_of):
+    room = room_with(READOUTS, LATE)
+    recording = Recording.of(room.tracks)
+    freedom = Freedom.of(recording, LensSettings(), "none", hold=True)
+    start = timing.Times(np.round(LATE - LATE[0], 1), np.round(READOUTS, 1))
+    found = timing.brought_in_step(room.tracks, state_of(room, recording), start, freedom, OutlierSettings())
+    assert found.still
+    error = found.times.table - np.stack([LATE - LATE[0], READOUTS], axis=1)
+    sigmas = found.unit_sigmas * found.settled.sigma_px
+    assert found.settled.sigma_px == pytest.approx(0.5, rel=0.05)
+    assert sigmas[0, 0] == error[0, 0] == 0.0
+    assert (np.abs(error) <= 3 * sigmas).all()
+    assert (sigmas < [0.005, 0.02]).all()
+
+
+def test_pairs_of_cameras_tell_before_anything_is_solved(rolling, straight):
+    """What `check` warns of: all of the rolling shutters, and none of the global ones."""
+    found = search_readouts(rolling.tracks, IN_STEP, EpipolarSettings(), 0)
+    assert (np.abs(found.frames - READOUTS) < 3 * found.sigma).all()
+    assert (found.sigma < 0.1).all()
+    clocks = tuple(CameraClock(name, 0.0, 1.0, 1.0, 1.0, True) for name in rolling.tracks.names)
+    survey = survey_readouts(ClockSurvey(clocks, ()), rolling.tracks, EpipolarSettings(), 0)
+    (item,) = on_readouts(survey.clocks)
+    assert "--readout-times" in item.remedy
+    assert item.remedy.count("--readout cam_") >= 5
+    assert " frames before in cam_2" in item.finding
+    quiet = survey_readouts(ClockSurvey(clocks, ()), straight.tracks, EpipolarSettings(), 0)
+    assert list(on_readouts(quiet.clocks)) == []
+    unsure = replace(clocks[0], certain=False)
+    survey = survey_readouts(ClockSurvey((unsure, *clocks[1:]), ()), rolling.tracks, EpipolarSettings(), 0)
+    assert survey.clocks[0].readout_frames is None
+
+
+def test_boards_alone_are_refused():
+    room = random_room(0, cameras=3, frames=90, visibility=0.9)
+    board = Target.chessboard(3, 2, 0.1)
+    ids = np.tile(np.arange(6), 15)
+    tracks = replace(room.tracks, point_ids=ids, target_ids=np.zeros(90, int), targets=(board,))
+    with pytest.raises(UsageError, match=r"not from boards alone; leave out --readout-times"):
+        calibrate(tracks, CalibrateSettings(init="boards", readout_times=True))
