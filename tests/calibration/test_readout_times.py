@@ -17,6 +17,7 @@ from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, EpipolarSettings, LensSettings, OutlierSettings
 from jaxpoint.errors import UsageError
 from jaxpoint.report.advice import on_readouts
+from jaxpoint.report.tables import clock_table
 from jaxpoint.simulate.rooms import random_room
 from jaxpoint.targets import Target
 
@@ -133,6 +134,7 @@ def test_pairs_of_cameras_tell_before_anything_is_solved(rolling, straight):
     assert " frames before in cam_2" in item.finding
     quiet = survey_readouts(ClockSurvey(clocks, ()), straight.tracks, EpipolarSettings(), 0)
     assert list(on_readouts(quiet.clocks)) == []
+    assert clock_table(("a", *"bcdef"), survey.clocks).rows[2][3].startswith("-0.")
     unsure = replace(clocks[0], certain=False)
     survey = survey_readouts(ClockSurvey((unsure, *clocks[1:]), ()), rolling.tracks, EpipolarSettings(), 0)
     assert survey.clocks[0].readout_frames is None

@@ -55,6 +55,8 @@ def survey_readouts(
 ) -> ClockSurvey:
     """What `survey_clocks` found, with the readout times of the cameras whose clocks are certain."""
     known = {c: Clock(clock.offset_frames, clock.rate) for c, clock in enumerate(survey.clocks) if clock.certain}
+    if len(known) < 2:
+        return survey
     found = search_readouts(tracks, known, settings, seed, intrinsics)
     clocks = list(survey.clocks)
     for camera in np.flatnonzero(found.sigma < NOTHING).tolist():
@@ -63,7 +65,7 @@ def survey_readouts(
     return replace(survey, clocks=tuple(clocks))
 
 
-def _of_pair(agreement: Agreement, pair: tuple[int, int], known: dict[int, Clock]) -> PairSolution | None:
+def _of_pair(agreement: Agreement, pair: tuple[int, int], known: Mapping[int, Clock]) -> PairSolution | None:
     """Both readout times, first and second, with the pair's offset free; None where too few matches move."""
     members = [(camera, known[camera]) for camera in pair]
     view, (first, second) = agreement.pair(*members), [agreement.course(*one) for one in members]

@@ -11,7 +11,7 @@ from jaxpoint.errors import InsufficientDataError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
     from jaxpoint.calibration.result import Calibration
     from jaxpoint.tracks import Tracks
@@ -42,15 +42,14 @@ def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
         return tracks
     import numpy as np
 
-    from jaxpoint.motion import moved_to_clock, without_jumps
+    from jaxpoint.motion import moved_to_clock
 
     offsets, rates = given_offsets(tracks, settings.offset), given_rates(tracks, settings.rate)
     readouts = given_readouts(tracks, settings.readout) if settings.readout else None
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
+    usable = _usable(tracks)
     for camera in np.flatnonzero(rates != 1.0).tolist():
         tracks, rates[camera] = _evenly(tracks, camera, usable, float(rates[camera]))
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
-    moved = moved_to_clock(tracks, offsets, rates, usable, readouts)
+    moved = moved_to_clock(tracks, offsets, rates, _usable(tracks), readouts)
     empty = np.flatnonzero(tracks.visible.any(axis=0) & ~moved.visible.any(axis=0))
     if len(empty):
         raise InsufficientDataError(
@@ -59,6 +58,13 @@ def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
             "--offset, --rate and --readout."
         )
     return moved
+
+
+def _usable(tracks: Tracks) -> Bool[np.ndarray, "F C"]:
+    """The observations from which the light's motion is taken."""
+    from jaxpoint.motion import without_jumps
+
+    return without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
 
 
 def _evenly(tracks: Tracks, camera: int, usable, rate: float) -> tuple[Tracks, float]:
@@ -138,7 +144,7 @@ def with_known_readouts(tracks: Tracks, settings: InputSettings, calibration: Ca
 
     values = dict(zip(calibration.rig.names, known.frames.tolist()))
     readouts = np.array([values.get(name, 0.0) for name in tracks.names])
-    return moved_to_clock(tracks, np.zeros(tracks.cameras), readouts=readouts)
+    return moved_to_clock(tracks, np.zeros(tracks.cameras), usable=_usable(tracks), readouts=readouts)
 
 
 def rate_of_times(tracks: Tracks) -> float | None:

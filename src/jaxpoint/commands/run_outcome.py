@@ -74,7 +74,11 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
     if rolling is not None:
         header = (*header, "frames first row to last")
         rows = [(*row, readout) for row, readout in zip(rows, readout_texts(rolling))]
-    given = () if rolling is None else (f"in other recordings: {readout_flags(calibration.rig.names, rolling.frames)}",)
+    given = (
+        ()
+        if rolling is None
+        else (f"in other recordings: {readout_flags(calibration.rig.names, rolling.frames.tolist())}",)
+    )
     summary = (
         f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
         f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "

@@ -181,7 +181,15 @@ def clock_table(names: Sequence[str], clocks: Sequence[CameraClock]) -> Table:
         ]
         for name, clock in zip(names, clocks)
     ]
+    if any(clock.readout_frames is not None for clock in clocks):
+        header.insert(3, "Frames, first\nrow to last")
+        for row, clock in zip(rows, clocks):
+            row.insert(3, _readout_text(clock.readout_frames, clock.readout_sigma))
     return Table(header, rows)
+
+
+def _readout_text(frames: float | None, sigma: float | None) -> str:
+    return "?" if frames is None or sigma is None else f"{frames:+.2f} ± {sigma:.2f}"
 
 
 def kept_table(summary: Summary) -> Table:
