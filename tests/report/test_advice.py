@@ -210,7 +210,7 @@ def test_late_cameras_are_told_in_flags():
 def test_rolling_shutters_are_told_where_they_are_sure():
     small, unsure, unknown = clock("a"), clock("b"), clock("c")
     small, unsure = (replace(one, readout_frames=by, readout_sigma=sure) for one, by, sure in (
-        (small, 0.08, 0.01), (unsure, 0.5, 0.12)
+        (small, 0.08, 0.01), (unsure, 0.5, 0.13)
     ))  # fmt: skip
     assert list(adv.on_readouts([small, unsure, unknown])) == []
     rolling = [replace(clock("up"), readout_frames=0.61, readout_sigma=0.04),

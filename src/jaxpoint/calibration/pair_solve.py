@@ -18,6 +18,7 @@ REWEIGHTED = 8  # times
 SCALE_PX = 1.0  # at an image width of 1280 px: error at which a match begins to count as an outlier
 GEOMETRY = 11  # unknowns before those that move pixels: nine of F, two lenses
 NOISE_FLOOR_PX = 0.05  # of the epipolar errors
+WIDE = 2.0  # typical errors: where an unknown is tested, an error at which a match begins to count as an outlier
 
 
 @dataclass(frozen=True)
@@ -33,23 +34,28 @@ class PairSolution:
     """The unknowns that move pixels, and what the matches say of them with the geometry free."""
 
     values: Float[np.ndarray, " M"]
-    information: Float[np.ndarray, "M M"]  # inverse of their covariance
+    information: Float[np.ndarray, "T T"]  # of those tested: the inverse of their covariance,
+    pull: Float[np.ndarray, " T"]  # and that times the step to where they fit best
 
 
-def solve_pair(view: PairView, seen: Bool[np.ndarray, " P"], movers: Sequence[Mover]) -> PairSolution:
+def solve_pair(
+    view: PairView, seen: Bool[np.ndarray, " P"], movers: Sequence[Mover], tested: Sequence[Mover] = ()
+) -> PairSolution:
     """Geometry, both lenses and the movers, from the matches of a pair.
 
     Args:
         seen: the matches that count, N of them.
+        tested: movers that are held at 0, and of which only the next step is asked.
     """
     first, second, lenses = view.first[seen], view.second[seen], view.lenses.copy()
-    matrix, values = view.fundamental, np.zeros(len(movers))
+    matrix, values, every = view.fundamental, np.zeros(len(movers)), (*movers, *tested)
+    solved, smallest = GEOMETRY + len(movers), SCALE_PX * view.width / 1280.0
     for _ in range(REWEIGHTED):
         rays = _lift(first, lenses[0]), _lift(second, lenses[1])
         lines = rays[1] @ matrix, rays[0] @ matrix.T
         moved = [
             (_turn(mover.along, (first, second)[mover.view], lenses[mover.view]) * lines[mover.view]).sum(axis=1)
-            for mover in movers
+            for mover in every
         ]
         columns = [
             (rays[1][:, :, None] * rays[0][:, None, :]).reshape(-1, 9),
@@ -59,24 +65,26 @@ def solve_pair(view: PairView, seen: Bool[np.ndarray, " P"], movers: Sequence[Mo
         ]
         scale = _gradient(*lines, view.half_diagonals)[:, None]
         design = np.concatenate(columns, axis=1) / scale
-        error = design[:, :9] @ matrix.reshape(9) + design[:, GEOMETRY:] @ values
-        root = 1.0 / np.sqrt(1.0 + (error / (SCALE_PX * view.width / 1280.0)) ** 2)
+        error = design[:, :9] @ matrix.reshape(9) + design[:, GEOMETRY:solved] @ values
+        # What is tested may be large: its errors must not count as outliers.
+        width = max(smallest, WIDE * float(np.median(np.abs(error)))) if tested else smallest
+        root = 1.0 / np.sqrt(1.0 + (error / width) ** 2)
         # A longer F changes nothing: its length is held by a row of its own.
-        held = np.concatenate([1e3 * matrix.reshape(1, 9), np.zeros((1, 2 + len(movers)))], axis=1)
+        held = np.concatenate([1e3 * matrix.reshape(1, 9), np.zeros((1, 2 + len(every)))], axis=1)
         weighted = np.vstack([design * root[:, None], held])
-        step = np.linalg.lstsq(weighted, np.append(-error * root, 0.0))[0]
+        step = np.linalg.lstsq(weighted[:, :solved], np.append(-error * root, 0.0))[0]
         matrix = matrix + step[:9].reshape(3, 3)
         matrix, lenses, values = matrix / np.linalg.norm(matrix), lenses + step[9:11], values + step[11:]
-    return PairSolution(values, _information(weighted, error, root))
+    return PairSolution(values, *_next_step(weighted, solved, error, root))
 
 
-def _information(weighted: Float[np.ndarray, "R U"], error, root) -> Float[np.ndarray, "M M"]:
-    """What is left of the movers' normal equations once the geometry has moved to suit them, over the variance."""
-    along, _ = np.linalg.qr(weighted[:, :GEOMETRY])
-    movers = weighted[:, GEOMETRY:]
-    left = movers - along @ (along.T @ movers)
+def _next_step(weighted: Float[np.ndarray, "R U"], solved: int, error, root) -> tuple[np.ndarray, np.ndarray]:
+    """What is left of the normal equations of those tested once all that was solved for has moved to suit them."""
+    along, _ = np.linalg.qr(weighted[:, :solved])
+    left = weighted[:, solved:] - along @ (along.T @ weighted[:, solved:])
     variance = float(((root * error) ** 2).sum() / max((root**2).sum() - weighted.shape[1], 1.0))
-    return left.T @ left / max(variance, NOISE_FLOOR_PX**2)
+    variance = max(variance, NOISE_FLOOR_PX**2)
+    return left.T @ left / variance, -left.T @ np.append(error * root, 0.0) / variance
 
 
 def _turn(along: Float[np.ndarray, "N 2"], points: Float[np.ndarray, "N 2"], lens: float) -> Float[np.ndarray, "N 3"]:

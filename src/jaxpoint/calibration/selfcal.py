@@ -42,7 +42,6 @@ MAX_CANDIDATE_COST = 3.0  # candidates that cost this many times more than the b
 COMPARED_BELOW = 0.97  # a rig that keeps less than this share of what the pairs believe is compared with other starts,
 FOLLOWED_ABOVE = 1.005  # those that keep this many times more when grown are followed to the end,
 # and below `assembly.MIN_EXPLAINED` all of them
-LONGEST_READOUT = 1.0  # frames: a camera reads an image before it takes the next
 
 
 def calibrate(
@@ -204,8 +203,7 @@ def _rough_times(tracks: Tracks, settings: CalibrateSettings, intrinsics, progre
     readouts = None
     if settings.readout_times:
         known = {camera: Clock(offset) for camera, offset in enumerate(offsets.tolist())}
-        found = search_readouts(tracks.of_one_point(), known, settings.epipolar, settings.seed, intrinsics)
-        readouts = np.clip(found.frames, -LONGEST_READOUT, LONGEST_READOUT)
+        readouts = search_readouts(tracks.of_one_point(), known, settings.epipolar, settings.seed, intrinsics).frames
     return Times(offsets, readouts, settings.time_offsets)
 
 
