@@ -10,12 +10,14 @@ from jaxpoint.calibration.alignment import umeyama
 from jaxpoint.calibration.camera_clock import CameraClock, ClockSurvey
 from jaxpoint.calibration.clock_fit import Clock
 from jaxpoint.calibration.covariance import with_covariance
+from jaxpoint.calibration.normal import OFFSET, ROWS, _late
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.readout_search import search_readouts, survey_readouts
 from jaxpoint.calibration.recording import Freedom, Recording
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, EpipolarSettings, LensSettings, OutlierSettings
 from jaxpoint.errors import UsageError
+from jaxpoint.motion import motion, on_clock
 from jaxpoint.report.advice import on_readouts
 from jaxpoint.report.tables import clock_table
 from jaxpoint.simulate.rooms import random_room
@@ -138,6 +140,20 @@ def test_pairs_of_cameras_tell_before_anything_is_solved(rolling, straight):
     unsure = replace(clocks[0], certain=False)
     survey = survey_readouts(ClockSurvey((unsure, *clocks[1:]), ()), rolling.tracks, EpipolarSettings(), 0)
     assert survey.clocks[0].readout_frames is None
+
+
+def test_the_gates_derivatives_are_those_of_moving_the_pixels(straight):
+    """The columns by which residuals are looked at for readout times and offsets, in central differences."""
+    tracks, step = straight.tracks, 1e-5
+    moving = motion(tracks.pixels, tracks.visible, tracks.series_ids)
+    columns = _late(tracks, moving.velocity)
+    for column, name in ((OFFSET, "offsets"), (ROWS, "readouts")):
+        zero = {"offsets": np.zeros(6), "readouts": np.zeros(6)}
+        sides = [on_clock(tracks, moving, **(zero | {name: np.full(6, by)})) for by in (-step, step)]
+        seen = sides[0].visible & sides[1].visible
+        slope = (sides[1].pixels - sides[0].pixels) / (2 * step)
+        assert seen.sum() > 1000
+        np.testing.assert_allclose(columns[..., column][seen], -slope[seen], atol=1e-4)  # projected minus observed
 
 
 def test_boards_alone_are_refused():
