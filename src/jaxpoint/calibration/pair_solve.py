@@ -18,6 +18,7 @@ REWEIGHTED = 8  # times
 SCALE_PX = 1.0  # at an image width of 1280 px: error at which a match begins to count as an outlier
 GEOMETRY = 11  # unknowns before those that move pixels: nine of F, two lenses
 NOISE_FLOOR_PX = 0.05  # of the epipolar errors
+STRETCHES = 12  # of time, within which errors may be alike
 WIDE = 2.0  # typical errors: where an unknown is tested, an error at which a match begins to count as an outlier
 
 
@@ -83,8 +84,24 @@ def _next_step(weighted: Float[np.ndarray, "R U"], solved: int, error, root) -> 
     along, _ = np.linalg.qr(weighted[:, :solved])
     left = weighted[:, solved:] - along @ (along.T @ weighted[:, solved:])
     variance = float(((root * error) ** 2).sum() / max((root**2).sum() - weighted.shape[1], 1.0))
-    variance = max(variance, NOISE_FLOOR_PX**2)
-    return left.T @ left / variance, -left.T @ np.append(error * root, 0.0) / variance
+    information = left.T @ left / max(variance, NOISE_FLOOR_PX**2)
+    each = -left * np.append(error * root, 0.0)[:, None] / max(variance, NOISE_FLOOR_PX**2)
+    more = _beyond_noise(information, each)
+    return information / more, each.sum(axis=0) / more
+
+
+def _beyond_noise(information: Float[np.ndarray, "T T"], each: Float[np.ndarray, "R T"]) -> float:
+    """How much more than independent noise the pulls of stretches of time scatter: 1, or more where a model is wrong.
+
+    Errors of a lens model stay alike from frame to frame, so that matches count for less than they are (the sandwich
+    covariance of clustered data; Liang and Zeger, "Longitudinal data analysis", Biometrika 1986).
+    """
+    if not information.size:
+        return 1.0
+    sums = np.array([part.sum(axis=0) for part in np.array_split(each, STRETCHES)])
+    apart = sums - sums.mean(axis=0)
+    scatter = apart.T @ apart * STRETCHES / (STRETCHES - 1)
+    return max(1.0, float(np.trace(np.linalg.pinv(information) @ scatter)) / len(information))
 
 
 def _turn(along: Float[np.ndarray, "N 2"], points: Float[np.ndarray, "N 2"], lens: float) -> Float[np.ndarray, "N 3"]:

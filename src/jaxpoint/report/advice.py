@@ -30,8 +30,9 @@ ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
 BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
-SURE_READOUT = 4.0  # sigmas of a readout time; global shutters come to 1.4 (simulated), 1.9 (real recordings)
-LEAST_READOUT = 0.1  # frames
+SURE_READOUT = 6.0  # sigmas of a readout time; global shutters come to 3.3 (simulated), 1.5 (real), wide lenses to 4.8
+LIKELY_READOUT = 3.0  # sigmas from which a camera is named where another is sure,
+LEAST_READOUT = 0.1  # frames; and not below this
 LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
 _EDGE = 0.03  # of a camera's observations beyond the radius from which its lens model fails: it is no mere border
 _REACHED = 0.9  # of the radius where a lens model folds back; light that was seen there shaped it
@@ -270,16 +271,16 @@ def on_readouts(clocks: Sequence[CameraClock]) -> Iterator[Advice]:
         for clock in clocks
         if clock.readout_frames is not None and clock.readout_sigma is not None
     ]
-    sure = [one for one in rolling if abs(one[1]) > max(SURE_READOUT * one[2], LEAST_READOUT)]
-    if sure:
+    likely = [one for one in rolling if abs(one[1]) > max(LIKELY_READOUT * one[2], LEAST_READOUT)]
+    if any(abs(by) > SURE_READOUT * sigma for _, by, sigma in likely):
         said = [
             f"{abs(by):.2f} ± {sigma:.2f} frames {'after' if by > 0 else 'before'} in {name}"
-            for name, by, sigma in sure
+            for name, by, sigma in likely
         ]
         yield Advice(
             f"The last image row is read after the first (rolling shutters): {', '.join(said)}.",
             "Calibrate with `--readout-times` (calibrate.readout_times = true), which solves for them; where they are "
-            f"known, give `{readout_flags([name for name, _, _ in sure], [by for _, by, _ in sure])}`.",
+            f"known, give `{readout_flags([name for name, _, _ in likely], [by for _, by, _ in likely])}`.",
         )
 
 
