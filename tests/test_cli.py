@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.calibration.result import ReadoutTimes, TimeOffsets
 from jaxpoint.cli import command_line, main, parse
 from jaxpoint.config import RoomConfig
 from jaxpoint.io.track_files import load_tracks, save_tracks
@@ -92,19 +92,28 @@ def run(*arguments, capsys=None):
     return code if capsys is None else (code, *capsys.readouterr())
 
 
-def test_time_offsets_are_shown_and_kept(tmp_path, tracks_file, solver, capsys, real_report):
-    solver.answer = replace(solver.answer, time_offsets=TimeOffsets(np.array([0, 0.25, -1.5, 2]), np.full(4, 0.003)))
-    code, out, _ = run("calibrate", tracks_file, "--time-offsets", "--out", tmp_path / "run", capsys=capsys)
-    assert (code, solver.settings.time_offsets) == (0, True)
+def test_time_offsets_and_readout_times_are_shown_and_kept(tmp_path, tracks_file, solver, capsys, real_report):
+    late = TimeOffsets(np.array([0, 0.25, -1.5, 2]), np.full(4, 0.003))
+    rolling = ReadoutTimes(np.array([0.5, 0.625, -0.75, 0.5]), np.full(4, 0.012))
+    solver.answer = replace(solver.answer, time_offsets=late, readout_times=rolling)
+    flags = "--time-offsets", "--readout-times"
+    code, out, _ = run("calibrate", tracks_file, *flags, "--out", tmp_path / "run", capsys=capsys)
+    assert (code, solver.settings.time_offsets, solver.settings.readout_times) == (0, True, True)
+    assert "frames first row to last" in out
+    assert "-0.750 ± 0.012" in out
+    assert "--readout cam_0=0.5 --readout cam_1=0.625 --readout cam_2=-0.75 --readout cam_3=0.5" in out
     assert "frames after cam_0" in out
     assert "-1.500 ± 0.003" in out
     found = read_run(tmp_path / "run")
     np.testing.assert_array_equal(found.calibration.time_offsets.frames, [0, 0.25, -1.5, 2])
+    np.testing.assert_array_equal(found.calibration.readout_times.frames, rolling.frames)
     assert found.metrics["time_offsets"]["frames"] == [0, 0.25, -1.5, 2]
+    assert found.metrics["readout_times"]["sigma"] == [0.012] * 4
+    assert "-0.750 ± 0.012" in (tmp_path / "run" / "report.html").read_text()
     assert "-1.500 ± 0.003" in (tmp_path / "run" / "report.html").read_text()
     # The tracks of the run stand on one clock: its halves have no offsets to solve for.
     run("validate", tmp_path / "run", "--held-out", capsys=capsys)
-    assert solver.settings.time_offsets is False
+    assert solver.settings.time_offsets is solver.settings.readout_times is False
 
 
 def test_flags_override_the_file_and_the_file_overrides_the_defaults(tmp_path):

@@ -1,11 +1,21 @@
 """Offsets, rates and cameras left out as flags give them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from jaxpoint.commands.given_clocks import given_offsets, given_rates, on_given_clock, rate_of_times, without_left_out
+from jaxpoint.calibration.result import ReadoutTimes
+from jaxpoint.commands.given_clocks import (
+    given_offsets,
+    given_rates,
+    given_readouts,
+    on_given_clock,
+    rate_of_times,
+    with_known_readouts,
+    without_left_out,
+)
 from jaxpoint.commands.inputs import tracks_from
 from jaxpoint.config import InputSettings
 from jaxpoint.config.loading import load_settings, to_toml
@@ -52,6 +62,12 @@ def test_rates_are_against_all_or_the_times(tracks, timeless):
         ({"offset": ("cam_2=late",)}, "cannot be read"),
         ({"offset": ("cam_2=nan",)}, "cannot be read"),
         ({"offset": ("cam_2=3", "cam_2=4")}, "--offset is given twice for 'cam_2', 3 and 4"),
+        (
+            {"readout": ("cam_2=18",)},
+            "--readout cam_2=18 cannot be used; .* at most 1 frame. Give frames, not millisec",
+        ),
+        ({"readout": ("cam_9=0.5",)}, "--readout names a camera 'cam_9'"),
+        ({"readout": ("cam_2",)}, "--readout cam_2 cannot be read; give a camera's name and a number, as in --readout"),
         ({"rate": ("all=30", "cam_2=0")}, "--rate cam_2=0 cannot be used; a rate is a positive number"),
         ({"rate": ("all=30", "all=25")}, "--rate is given twice for 'all'"),
         ({"rate": ("all=30", "cam_9=25")}, "--rate names a camera 'cam_9'"),
@@ -70,6 +86,21 @@ def test_what_leaves_nothing_is_refused(tracks):
         without_left_out(tracks, tracks.names)
     with pytest.raises(InsufficientDataError, match="camera 'cam_2' has no light left in the frames 0 to 79"):
         on_given_clock(tracks, InputSettings(offset=("cam_2=500",)))
+
+
+def test_readout_times_are_of_one_camera_or_of_all(tracks):
+    np.testing.assert_array_equal(given_readouts(tracks, ("cam_2=-0.4",)), [0, 0, -0.4, 0])
+    np.testing.assert_array_equal(given_readouts(tracks, ("all=0.6", "cam_0=0")), [0, 0.6, 0.6, 0.6])
+    moved = on_given_clock(tracks, InputSettings(readout=("cam_1=0.5",)))
+    np.testing.assert_array_equal(moved.pixels[:, 0], np.where(moved.visible[:, :1], tracks.pixels[:, 0], 0.0))
+    both = moved.visible[:, 1] & tracks.visible[:, 1]
+    assert np.abs(moved.pixels[both, 1] - tracks.pixels[both, 1]).max() > 1.0
+    known = SimpleNamespace(
+        rig=SimpleNamespace(names=tracks.names), readout_times=ReadoutTimes(np.array([0, 0.5, 0, 0]), np.zeros(4))
+    )
+    again = with_known_readouts(tracks, InputSettings(), known)
+    np.testing.assert_array_equal(again.pixels[both, 1], moved.pixels[both, 1])
+    assert with_known_readouts(tracks, InputSettings(readout=("all=0",)), known) is tracks
 
 
 def test_names_may_hold_an_equals_sign(tracks):

@@ -126,6 +126,32 @@ def test_a_camera_of_another_rate_against_the_true_path(rate):
     np.testing.assert_array_equal(moved.pixels[:, 0], tracks.pixels[:, 0])
 
 
+@pytest.mark.parametrize("step", [1, 2])
+def test_rolling_shutters_against_the_true_path(step):
+    """Each pixel was seen when its row was read, one camera from above and one from below."""
+    ids, readouts = np.arange(0, FRAMES, step), np.array([0.8, -0.6])
+    moments = np.repeat(ids[:, None].astype(float), 2, axis=1)
+    for _ in range(20):
+        pixels = np.stack([smooth(moments[:, camera], camera) for camera in range(2)], axis=1)
+        moments = ids[:, None] + readouts * (pixels[..., 1] / 720 - 0.5)
+    visible = np.random.default_rng(1).random((len(ids), 2)) >= 0.2
+    tracks = Tracks.from_pixels(pixels, SIZES, visible, frame_ids=ids)
+    true = np.stack([smooth(ids, camera) for camera in range(2)], axis=1)
+    moved = moved_to_clock(tracks, np.zeros(2), readouts=readouts)
+    wrong, unmoved = (np.linalg.norm(part - true, axis=-1)[moved.visible] for part in (moved.pixels, pixels))
+    assert moved.visible.sum() > 0.6 * visible.size
+    assert np.median(unmoved) > 2.0
+    assert np.median(wrong) < 0.01 * step**3
+    assert np.quantile(wrong, 0.95) < 0.5 * step**3
+
+
+def test_no_readout_is_a_global_shutter():
+    tracks, late = tracks_of([0.0, 1.3], 0.2), np.array([0.0, 1.3])
+    plain, same = moved_to_clock(tracks, late), moved_to_clock(tracks, late, readouts=np.zeros(2))
+    np.testing.assert_array_equal(plain.visible, same.visible)
+    np.testing.assert_allclose(plain.pixels, same.pixels, atol=1e-9)
+
+
 def test_jumps_are_found_and_spare_their_neighbours():
     tracks = tracks_of([0.0, 0.0], 0.1)
     pixels, jump = tracks.pixels.copy(), np.array([20, 60, 61, 120])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxpoint.calibration.quality import Quality
-from jaxpoint.calibration.result import Calibration, Verdict
+from jaxpoint.calibration.result import Calibration, ReadoutTimes, TimeOffsets, Verdict
 from jaxpoint.camera.mixed import own_coefficients
 
 
@@ -50,7 +50,8 @@ def metrics(
         "seconds": {name: _finite(value) for name, value in seconds.items()},
         "seed": calibration.seed,
         "cameras": _cameras(calibration),
-        "time_offsets": _time_offsets(calibration),
+        "time_offsets": _times(calibration.time_offsets),
+        "readout_times": _times(calibration.readout_times),
         **({} if quality is None else _verdict(quality)),
     }
 
@@ -86,9 +87,8 @@ def _cameras(calibration: Calibration) -> list[dict[str, Any]]:
     ]
 
 
-def _time_offsets(calibration: Calibration) -> dict[str, list[float | None]] | None:
-    late = calibration.time_offsets
-    return None if late is None else {"frames": _numbers(late.frames), "sigma": _numbers(late.sigma)}
+def _times(found: TimeOffsets | ReadoutTimes | None) -> dict[str, list[float | None]] | None:
+    return None if found is None else {"frames": _numbers(found.frames), "sigma": _numbers(found.sigma)}
 
 
 def _mean(values: np.ndarray) -> float | None:

@@ -43,13 +43,33 @@ class Motion:
         return np.where(self.known[rows, every] | (ahead == 0), np.sqrt((weights**2).sum(axis=-1)), np.inf)
 
 
+def row_delays(tracks: Tracks, readouts: Float[np.ndarray, " C"] | None) -> Float[np.ndarray, "F C"] | None:
+    """Frames after the middle image row at which the row of each pixel was read; None without rolling shutters.
+
+    Args:
+        readouts: frames from the first image row to the last, negative from below.
+    """
+    return None if readouts is None else readouts * rows_down(tracks)
+
+
+def rows_down(tracks: Tracks) -> Float[np.ndarray, "F C"]:
+    """How far below the image's middle each pixel lies, as a share of the height: -0.5 to 0.5; 0 where not seen."""
+    return np.where(tracks.visible, tracks.pixels[..., 1] / tracks.image_sizes[:, 1] - 0.5, 0.0)
+
+
 def motion(
-    pixels: Float[np.ndarray, "F C 2"], usable: Bool[np.ndarray, "F C"], frame_ids: Int[np.ndarray, " F"]
+    pixels: Float[np.ndarray, "F C 2"],
+    usable: Bool[np.ndarray, "F C"],
+    frame_ids: Int[np.ndarray, " F"],
+    delays: Float[np.ndarray, "F C"] | None = None,
 ) -> Motion:
     """The motion at every row of the tracks, from the nearest usable pixels before and after it.
 
     Known where a usable pixel lies within reach before and after. In a recording thinned to every n-th frame the
     reach is as many of those.
+
+    Args:
+        delays: frames by which each pixel was read late, as `row_delays` has it.
     """
     step = frame_step(frame_ids)
     around = np.arange(-REACH, REACH + 1)
@@ -58,6 +78,9 @@ def motion(
     rows = np.clip(rows, 0, len(frame_ids) - 1)
     ahead = (frame_ids[rows] - frame_ids[:, None]) / step  # (F, W), in steps
     near = inside & (np.abs(ahead) <= REACH)
+    ahead = ahead[:, None]  # (F, 1, W), or (F, C, W)
+    if delays is not None:
+        ahead = ahead + (np.moveaxis(delays[rows], 1, 2) - delays[..., None]) / step
     used = near[:, None] & np.moveaxis(usable[rows], 1, 2)  # (F, C, W)
     used[..., :REACH] &= np.cumsum(used[..., REACH - 1 :: -1], axis=-1)[..., ::-1] <= SIDE
     used[..., REACH + 1 :] &= np.cumsum(used[..., REACH + 1 :], axis=-1) <= SIDE
@@ -74,8 +97,8 @@ def motion(
 
 def _derivative_weights(ahead, used, known, cubic) -> tuple[np.ndarray, np.ndarray]:
     """Weights (F, C, W) of the first and second derivative at 0 of the polynomial through the used neighbours."""
-    powers = ahead[..., None] ** np.arange(4)  # (F, W, 4)
-    powers = np.where(used[..., None], powers[:, None], 0.0)
+    powers = ahead[..., None] ** np.arange(4)  # (F, C, W, 4), C 1 where all cameras are alike
+    powers = np.where(used[..., None], powers, 0.0)
     powers = np.where(np.stack([known, known, known, cubic], axis=-1)[:, :, None], powers, 0.0)
     normal = np.einsum("fcwi,fcwj->fcij", powers, powers)
     idle = np.diagonal(normal, axis1=2, axis2=3) == 0
@@ -145,6 +168,7 @@ class OnClock:
 
     rows: Int[np.ndarray, "F C"]  # of the camera's own frames
     ahead: Float[np.ndarray, "F C"]  # frames from that pixel to the moment, at most half a step
+    down: Float[np.ndarray, "F C"]  # of that pixel, as `rows_down` has it
     pixels: Float[np.ndarray, "F C 2"]  # moved to the moment
     velocity: Float[np.ndarray, "F C 2"]  # px per frame, then
     acceleration: Float[np.ndarray, "F C 2"]
@@ -167,32 +191,33 @@ def on_clock(
     moving: Motion,
     offsets: Float[np.ndarray, " C"],
     rates: Float[np.ndarray, " C"] | None = None,
+    readouts: Float[np.ndarray, " C"] | None = None,
 ) -> OnClock:
     """Each camera's pixels at the moments of the common clock.
 
     Args:
-        moving: of the tracks.
-        offsets: frames by which each camera shows a point late, at the first frame of the tracks.
+        moving: of the tracks, with the delays of these readouts.
+        offsets: frames by which each camera shows a point late, at the first frame of the tracks and the middle row.
         rates: frames of each camera to one of the common clock; 1 each where they are not given.
+        readouts: frames from the first image row to the last, negative from below; none where they are not given.
     """
     ids = tracks.series_ids.astype(float)
     elapsed = (tracks.frame_ids - tracks.frame_ids.min(initial=0)).astype(float)
     rates = np.ones(tracks.cameras) if rates is None else rates
     # An exact shift where the rate is 1, so that a whole number of frames is a matter of rows alone.
     wanted = ids[:, None] + offsets + (rates - 1.0) * elapsed[:, None]
-    after = np.clip(np.searchsorted(ids, wanted), 1, len(ids) - 1)
-    rows = np.where(wanted - ids[after - 1] <= ids[after] - wanted, after - 1, after)
-    ahead = wanted - ids[rows]
+    rows, ahead = _nearest_rows(tracks, wanted, row_delays(tracks, readouts))
     every = np.arange(tracks.cameras)[None]
-    near = np.abs(ahead) <= 0.5 * frame_step(tracks.series_ids) + 1e-9
-    visible = tracks.visible[rows, every] & near & (moving.gain(rows, ahead) <= MAX_GAIN)
     velocity, bend = moving.velocity[rows, every], moving.acceleration[rows, every]
+    near = np.abs(ahead) <= 0.5 * frame_step(tracks.series_ids) * _apart(velocity, tracks, readouts) + 1e-9
+    visible = tracks.visible[rows, every] & near & (moving.gain(rows, ahead) <= MAX_GAIN)
     by = ahead[..., None]
     pixels = tracks.pixels[rows, every] + by * velocity + 0.5 * by**2 * bend
     shown, rate = visible[..., None], rates[:, None]
     return OnClock(
         rows,
         ahead,
+        rows_down(tracks)[rows, every],
         np.where(shown, pixels, 0.0),
         np.where(shown, rate * (velocity + by * bend), 0.0),
         np.where(shown, rate**2 * bend, 0.0),
@@ -200,11 +225,36 @@ def on_clock(
     )
 
 
+def _nearest_rows(
+    tracks: Tracks, wanted: Float[np.ndarray, "F C"], delays: Float[np.ndarray, "F C"] | None
+) -> tuple[Int[np.ndarray, "F C"], Float[np.ndarray, "F C"]]:
+    """The rows whose pixels were taken nearest to the wanted frames of each camera, and the frames from there."""
+    ids = tracks.series_ids.astype(float)
+    after = np.clip(np.searchsorted(ids, wanted), 1, len(ids) - 1)
+    rows = np.where(wanted - ids[after - 1] <= ids[after] - wanted, after - 1, after)
+    if delays is None:
+        return rows, wanted - ids[rows]
+    # A row's delay is that of its pixel, so that only a row with a pixel can be nearest.
+    every = np.arange(tracks.cameras)[None]
+    around = np.clip(rows + np.arange(-1, 2)[:, None, None], 0, len(ids) - 1)
+    ahead = wanted - ids[around] - delays[around, every]
+    nearest = np.where(tracks.visible[around, every], np.abs(ahead), np.inf).argmin(axis=0)[None]
+    return tuple(np.take_along_axis(part, nearest, axis=0)[0] for part in (around, ahead))
+
+
+def _apart(velocity: Float[np.ndarray, "F C 2"], tracks: Tracks, readouts) -> Float[np.ndarray, "F C"] | float:
+    """Frames between two sightings: more than 1 where the light moves along with the rows that are read."""
+    if readouts is None:
+        return 1.0
+    return 1.0 / np.clip(1.0 - readouts * velocity[..., 1] / tracks.image_sizes[:, 1], 0.5, 2.0)
+
+
 def moved_to_clock(
     tracks: Tracks,
     offsets: Float[np.ndarray, " C"],
     rates: Float[np.ndarray, " C"] | None = None,
     usable: Bool[np.ndarray, "F C"] | None = None,
+    readouts: Float[np.ndarray, " C"] | None = None,
 ) -> Tracks:
     """The tracks on the common clock, as `on_clock` has them.
 
@@ -212,4 +262,5 @@ def moved_to_clock(
         usable: observations from which the motion is taken; all where it is not given.
     """
     usable = tracks.visible if usable is None else usable
-    return on_clock(tracks, motion(tracks.pixels, usable, tracks.series_ids), offsets, rates).applied(tracks)
+    moving = motion(tracks.pixels, usable, tracks.series_ids, row_delays(tracks, readouts))
+    return on_clock(tracks, moving, offsets, rates, readouts).applied(tracks)

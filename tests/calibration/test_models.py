@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxpoint.calibration.bundle import CameraModel, from_blocks, padded_frames, to_blocks
-from jaxpoint.calibration.offset_model import OffsetModel
 from jaxpoint.calibration.projective import ProjectiveModel
+from jaxpoint.calibration.timing_model import TimingModel
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.parameters import size_of
 
@@ -38,15 +38,15 @@ def projective(lens, object_space):
 
 
 def out_of_step():
-    """Brown's cameras with offsets, where the light moves; six numbers an observation."""
+    """Brown's cameras with offsets and rolling shutters, where the light moves; seven numbers an observation."""
     _, cameras, base, points, pixels = brown([0.2, -0.1, 0.3], [-0.2, 0.05, 0.002, -0.001, 0.01])
-    motion = np.random.default_rng(2).normal(0.0, [[20.0], [20.0], [4.0], [4.0]], (2, 4, 3))
-    numbers = np.concatenate([cameras, [[0.0], [-0.4]]], axis=1)
-    return OffsetModel(), numbers, base, points, np.concatenate([pixels, motion], axis=1)
+    motion = np.random.default_rng(2).normal(0.0, [[20.0], [20.0], [4.0], [4.0], [0.3]], (2, 5, 3))
+    numbers = np.concatenate([cameras, [[0.0, 0.6], [-0.4, -0.7]]], axis=1)
+    return TimingModel(), numbers, base, points, np.concatenate([pixels, motion], axis=1)
 
 
 CASES = {
-    "brown out of step": out_of_step(),
+    "brown out of step and rolling": out_of_step(),
     "brown at rest": brown([0.0, 0.0, 0.0], np.zeros(5)),
     "brown bent": brown([0.2, -0.1, 0.3], [-0.2, 0.05, 0.002, -0.001, 0.01]),
     "brown near pi": brown([0.0, np.pi - 1e-3, 0.0], [-0.2, 0.05, 0.0, 0.0, 0.0]),

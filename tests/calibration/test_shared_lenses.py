@@ -25,8 +25,8 @@ FOCALS, K1 = np.array([900.0, 1000.0, 900.0, 900.0]), np.array([-0.2, -0.1, -0.2
 LENS = [0, 1, 0, 0]  # of each camera
 
 
-@pytest.fixture(scope="module")
-def tracks() -> Tracks:
+def recorded(frames: int, stride: int, late: np.ndarray) -> Tracks:
+    """What four cameras show of a light, each some frames late."""
     rng = np.random.default_rng(7)
     rotation, translation = random_poses(rng, COUNT, "around")
     center = (np.array(SIZE) - 1) / 2
@@ -35,10 +35,16 @@ def tracks() -> Tracks:
             np.tile(FOCALS[:, None], 2), np.tile(center, (COUNT, 1)), np.pad(K1[:, None], ((0, 0), (0, 4))),
             rotation, translation, np.tile(SIZE, (COUNT, 1)),
         )  # fmt: skip
-        light = waved_path(rng, FRAMES, 6)(np.arange(FRAMES))
-        pixels = np.asarray(rig.project(light))
+        path = waved_path(rng, frames, stride)
+        shown = [np.asarray(camera.project(path(np.arange(frames) - by))) for camera, by in zip(rig, late)]
+    pixels = np.stack(shown, axis=1)
     visible = ((pixels > 0) & (pixels < np.array(SIZE) - 1)).all(axis=-1)
     return Tracks.from_pixels(pixels + rng.normal(0, NOISE, pixels.shape), np.tile(SIZE, (COUNT, 1)), visible)
+
+
+@pytest.fixture(scope="module")
+def tracks() -> Tracks:
+    return recorded(FRAMES, 6, np.zeros(COUNT))
 
 
 @pytest.fixture(scope="module")
@@ -145,3 +151,13 @@ def test_wrong_groups_are_refused(groups, said):
 def test_groups_lose_a_camera_that_is_left_out():
     assert groups_without(("a,b,c", "d,e", "all"), "d") == ("a,b,c", "all")
     assert groups_without(("a,b,c",), "b") == ("a,c",)
+
+
+def test_cameras_out_of_step_may_share_a_lens():
+    late = np.array([0.0, 0.4, -0.3, 0.2])
+    found = calibrate(recorded(200, 20, late), replace(PLAIN, time_offsets=True, outliers=OutlierSettings()))
+    np.testing.assert_allclose(found.time_offsets.frames, late, atol=0.03)
+    assert np.abs((found.time_offsets.frames - late)[1:] / found.time_offsets.sigma[1:]).max() < 4
+    parameters = np.asarray(found.rig.cameras.lens.parameters)
+    np.testing.assert_allclose(parameters[[2, 3]], parameters[[0, 0]], rtol=1e-12)
+    np.testing.assert_allclose(parameters[:, 0], FOCALS, rtol=0.01)

@@ -8,6 +8,7 @@ import pytest
 
 import influence
 import random_rooms as rooms
+import readout_times as readouts
 import self_calibration_stages as stages
 import time_offsets as offsets
 import validation_lengths as lengths
@@ -220,6 +221,18 @@ def lonely(weights) -> int:
     """Pixels of frames in which no other camera is believed: they say nothing."""
     views = np.asarray(weights).sum(axis=1)
     return int(views[views == 1].sum())
+
+
+def test_readout_times_are_counted_against_their_targets():
+    usual, plain = readouts.Solved((), (), 0.40, 2.0), readouts.Solved((), (), 1.20, 10.0)
+    good, bad = readouts.Solved((0.01, 0.04), (0.5, -2.5), 0.40, 3.0), readouts.Solved((0.06,), (3.5,), 0.44, 2.0)
+    rows = [readouts.Row(0, 4, usual, plain, good, bad, 0, 2), readouts.Row(1, 5, usual, None, None, None, 1, 2)]
+    text = readouts.markdown(rows)
+    assert "In step: 1 of 2 rooms; mean error over that of global shutters: median 1.000" in text
+    assert "camera centres: median 1.50." in text
+    assert "all in 1 rooms, 100% of 2 cameras (median 2.5%)" in text
+    assert "within 3 predicted standard deviations: 0% of 1" in text
+    assert "Warnings of 4: 4 with rolling shutters, 1 with global ones." in text
 
 
 def test_time_offsets_are_counted_against_their_targets():

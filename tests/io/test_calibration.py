@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.calibration.result import ReadoutTimes, TimeOffsets
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.camera import POSE_NAMES, Camera
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
@@ -48,21 +48,22 @@ def test_json_round_trip_is_exact(tmp_path):
     assert read_calibration(tmp_path).covariance is None  # a run's folder
 
 
-def test_time_offsets_are_kept_where_there_are_any(tmp_path):
+@pytest.mark.parametrize(("name", "kind"), [("time_offsets", TimeOffsets), ("readout_times", ReadoutTimes)])
+def test_times_are_kept_where_there_are_any(tmp_path, name, kind):
     path = tmp_path / "calibration.json"
-    late = TimeOffsets(np.linspace(0.0, 1.7, 11), np.full(11, 0.003))
-    write_calibration_json(path, ROOM.rig, time_offsets=late)
-    found = read_calibration_json(path).time_offsets
-    np.testing.assert_array_equal(found.frames, late.frames)
-    np.testing.assert_array_equal(found.sigma, late.sigma)
+    times = kind(np.linspace(0.0, 0.7, 11), np.full(11, 0.003))
+    write_calibration_json(path, ROOM.rig, **{name: times})
+    found = getattr(read_calibration_json(path), name)
+    np.testing.assert_array_equal(found.frames, times.frames)
+    np.testing.assert_array_equal(found.sigma, times.sigma)
     content = json.loads(path.read_text())
-    content["time_offsets"]["sigma"].pop()
+    content[name]["sigma"].pop()
     path.write_text(json.dumps(content))
-    with pytest.raises(FileFormatError, match=r"`\$\.time_offsets` has 11 frames and 10 sigmas for 11 cameras"):
+    with pytest.raises(FileFormatError, match=rf"`\$\.{name}` has 11 frames and 10 sigmas for 11 cameras"):
         read_calibration_json(path)
     write_calibration_json(path, ROOM.rig)
-    assert "time_offsets" not in json.loads(path.read_text())  # older readers refuse what they do not know
-    assert read_calibration_json(path).time_offsets is None
+    assert name not in json.loads(path.read_text())  # older readers refuse what they do not know
+    assert getattr(read_calibration_json(path), name) is None
 
 
 def test_json_is_what_the_readme_says(tmp_path):

@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.calibration.result import ReadoutTimes, TimeOffsets
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.kannala_brandt import KannalaBrandt
 from jaxpoint.camera.rational import Rational
@@ -117,9 +117,11 @@ def test_the_same_pixels_after_a_round_trip(tmp_path, name, lens):
 def test_what_a_format_has_no_place_for_is_said(tmp_path, name):
     rig = rig_of("none", 2)
     covariance = np.eye(rig.camera_size * 2)
-    saved = SavedCalibration(rig, covariance=covariance, time_offsets=TimeOffsets(np.zeros(2), np.zeros(2)))
+    nothing = np.zeros(2), np.zeros(2)
+    times = {"time_offsets": TimeOffsets(*nothing), "readout_times": ReadoutTimes(*nothing)}
+    saved = SavedCalibration(rig, covariance=covariance, **times)
     fmt, said = FORMATS[name], " ".join(write_calibration(saved, tmp_path / "out", name))
-    assert ("covariance" in said) == ("time offsets" in said) == (name != "jaxpoint")
+    assert ("covariance" in said) == ("time offsets" in said) == ("readout times" in said) == (name != "jaxpoint")
     assert ("relative to camera 'door'" in said) == (name in RELATIVE)
     assert ("--size" in said) == (not fmt.holds.sizes)
     assert ("names the cameras" in said) == (fmt.rename(rig.names) != rig.names)

@@ -207,6 +207,19 @@ def test_late_cameras_are_told_in_flags():
     assert "--time-offsets" in item.remedy
 
 
+def test_rolling_shutters_are_told_where_they_are_sure():
+    small, unsure, unknown = clock("a"), clock("b"), clock("c")
+    small, unsure = (replace(one, readout_frames=by, readout_sigma=sure) for one, by, sure in (
+        (small, 0.08, 0.01), (unsure, 0.5, 0.13)
+    ))  # fmt: skip
+    assert list(adv.on_readouts([small, unsure, unknown])) == []
+    rolling = [replace(clock("up"), readout_frames=0.61, readout_sigma=0.04),
+               replace(clock("the other"), readout_frames=-0.6, readout_sigma=0.05)]  # fmt: skip
+    (item,) = adv.on_readouts([small, *rolling])
+    assert "0.61 ± 0.04 frames after in up, 0.60 ± 0.05 frames before in the other" in item.finding
+    assert "`--readout up=0.61 --readout 'the other'=-0.6`" in item.remedy
+
+
 @pytest.mark.parametrize(
     ("one", "rate", "said", "given"),
     [

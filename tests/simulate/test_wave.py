@@ -1,14 +1,17 @@
 """The light in the dark: where it is seen, where its mirror images are, and that the detector finds it."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
 from jaxpoint.config import LedSettings
 from jaxpoint.config.people import PeopleSettings
 from jaxpoint.config.simulation import SimulationSettings, ViewpointSettings, WaveSettings
 from jaxpoint.detection.light.led import detect_led
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.capsules import Capsule
 from jaxpoint.simulate.simulated_session import simulate_session
 from jaxpoint.simulate.wave import mirrored, simulate_wave
@@ -46,6 +49,31 @@ def test_the_detector_finds_the_light_where_the_rig_projects_it(wave, tmp_path):
     assert (seen & ~shown).sum() < 0.05 * wave.frames
     away = np.linalg.norm(found.pixels[:, 0] - expected[:, 0], axis=1)
     assert np.median(away[seen & shown]) < 0.3
+
+
+def test_a_rolling_shutter_shows_the_light_where_it_is_when_its_row_is_read(wave):
+    """The row of the pixel and the moment of the light agree, by a root search of our own test."""
+    rolling = replace(SETTINGS, wave=replace(SETTINGS.wave, readouts=((0, 0.9), (1, -0.6))))
+    session = replace(wave.session, settings=rolling)
+    shown = simulate_wave(session)
+    moved = 0.0
+    for camera, readout in ((0, 0.9), (1, -0.6)):
+        view = session.viewpoints[camera]
+
+        def ahead(moment, frame, view=view, readout=readout):
+            row = view.project(shown.path(np.array([moment])))[0][0, 1]
+            return moment - frame - readout * (row / 270 - 0.5)
+
+        for frame in range(10, 100, 15):
+            if not wave.visible(frame, camera):
+                continue
+            moment = brentq(ahead, frame - 0.5, frame + 0.5, (frame,))
+            np.testing.assert_allclose(shown.shown(frame, camera), shown.path(np.array([moment]))[0], atol=2e-5)
+            moved = max(moved, float(np.linalg.norm(shown.shown(frame, camera) - wave.light[frame])))
+    assert moved > 0.02  # m
+    np.testing.assert_array_equal(shown.light, wave.light)
+    with pytest.raises(UsageError, match="a readout of camera 2, but there are 2 cameras"):
+        simulate_wave(replace(session, settings=replace(rolling, wave=WaveSettings(readouts=((2, 0.5),)))))
 
 
 def test_a_mirror_shows_the_light_by_the_shortest_way():

@@ -31,6 +31,7 @@ from .result import (
     Finding as Finding,
     PairTable as PairTable,
     FrameHold as FrameHold,
+    ReadoutTimes as ReadoutTimes,
     Stage as Stage,
     TimeOffsets as TimeOffsets,
     Verdict as Verdict,

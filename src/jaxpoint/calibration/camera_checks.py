@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxpoint.calibration.contradiction import LEAST_KEPT, kept_shares
 from jaxpoint.calibration.normal import DRIFT, OFFSET, ROWS, GaussNewtonStep, NormalEquations
@@ -73,17 +73,25 @@ def _stretches(calibration: Calibration) -> Iterator[Finding]:
 def _clocks(calibration: Calibration, normal: NormalEquations) -> Iterator[Finding]:
     """Residuals that follow the light's motion: late cameras, other rates, rolling shutters."""
     assert calibration.freedom is not None
-    solved = () if calibration.time_offsets is None else (OFFSET,)
+    solved = (OFFSET,) * (calibration.time_offsets is not None) + (ROWS,) * (calibration.readout_times is not None)
     try:
         step = normal.solve(calibration.freedom.at_noise(calibration.sigma_px), extra=(OFFSET, DRIFT, ROWS))
     except np.linalg.LinAlgError:
         return
+    names = calibration.tracks.names
     for column in (OFFSET, DRIFT, ROWS):
-        values, sigmas = against_median(step.change[:, column], step.sigmas[:, column])
+        values, sigmas = step.change[:, column], step.sigmas[:, column]
+        if column != ROWS:
+            values, sigmas = against_median(values, sigmas)
         sure = (np.abs(values) > SURE * sigmas) & (np.abs(values) > NOTABLE)
         if sure.any() and column not in solved:
             worst = int(np.where(sure, np.abs(values), 0.0).argmax())
-            yield _late(calibration.tracks.names[worst], column, float(values[worst]), _spoils(step))
+            frames = float(values[worst])
+            yield (
+                _rolling(names, sure, worst, frames)
+                if column == ROWS
+                else _late(names[worst], column, frames, _spoils(step))
+            )
 
 
 def _spoils(step: GaussNewtonStep) -> bool:
@@ -101,16 +109,7 @@ def against_median(
 
 
 def _late(name: str, column: int, frames: float, spoils: bool) -> Finding:
-    level = "bad" if (spoils or abs(frames) > LARGE) and column != ROWS else "care"
-    if column == ROWS:
-        return Finding(
-            "rolling shutter",
-            "care",
-            f"The residuals of camera {name} follow the image row: its last row is read {abs(frames):.2f} frames "
-            f"{'after' if frames > 0 else 'before'} its first (a rolling shutter).",
-            "Wave the light more slowly, or use a shorter read-out (a global shutter is best)",
-            (name,),
-        )
+    level = "bad" if spoils or abs(frames) > LARGE else "care"
     if column == DRIFT:
         return Finding(
             "frame rate",
@@ -126,4 +125,17 @@ def _late(name: str, column: int, frames: float, spoils: bool) -> Finding:
         f"Camera {name} shows the light {abs(frames):.2f} frames or more {'late' if frames > 0 else 'early'}.",
         "Calibrate with --time-offsets, which solves for it, or mend the synchronisation",
         (name,),
+    )
+
+
+def _rolling(names: tuple[str, ...], sure: Bool[np.ndarray, " C"], worst: int, frames: float) -> Finding:
+    others = [name for camera, name in enumerate(names) if sure[camera] and camera != worst]
+    too = f" So do those of {', '.join(others)}." if others else ""
+    return Finding(
+        "rolling shutter",
+        "care",
+        f"The residuals of camera {names[worst]} follow the image row: its last row is read {abs(frames):.2f} frames "
+        f"or more {'after' if frames > 0 else 'before'} its first (a rolling shutter).{too}",
+        "Calibrate with --readout-times, which solves for it, or wave the light more slowly",
+        (names[worst], *others),
     )

@@ -19,6 +19,9 @@ class CameraClock:
     certain: bool  # False: no clock makes this camera fit the others well
     even: bool = True  # False: in step but for frames that its recording repeats or skips at regular intervals
 
+    readout_frames: float | None = None  # from its first image row to its last; None where that was not searched
+    readout_sigma: float | None = None  # one standard deviation
+
     @property
     def in_step(self) -> bool:
         """Nothing to be set right: less than half a frame late, at the same rate."""

@@ -64,6 +64,11 @@ def flags(clocks: Sequence[CameraClock], timing: Timing) -> str:
     return " ".join([*late, *([f"--rate all={common:g}"] if rates else []), *rates])
 
 
+def readout_flags(names: Sequence[str], frames: Sequence[float]) -> str:
+    """The flags that give readout times."""
+    return " ".join(f"--readout {_quote(name)}={value:.3g}" for name, value in zip(names, frames))
+
+
 def cause(held: float, clock: CameraClock) -> tuple[str, str]:
     """Why a camera fits no other, as far as its tracks tell, and what to do.
 

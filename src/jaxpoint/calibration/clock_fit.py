@@ -19,12 +19,13 @@ from jaxpoint.calibration.twoview import (
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import EpipolarSettings
 from jaxpoint.epipolar import PairFit
-from jaxpoint.motion import Motion, frame_step, held_still, motion, on_clock, without_jumps
+from jaxpoint.motion import Motion, OnClock, frame_step, held_still, motion, on_clock, without_jumps
 from jaxpoint.tracks import Tracks
 
 MOST_FRAMES = 2000  # of a longer recording every n-th are compared
 SAMPLES = 128  # minimal samples a fit: fewer than for the geometry itself, but there are many fits
 STEPS = (2.0, 1.0, 0.5, 0.25)  # by which both ends of a camera's clock are moved, coarse to fine
+APART = 0.25  # frames before and after, between which the light's motion is taken
 TRIES = 8  # moves at each of these
 CHANCE = 0.25  # share of matches that some epipolar geometry fits whatever the clocks, about
 HOPEFUL = 0.35  # share of matches where a clock was found: less, and it is not followed farther
@@ -76,6 +77,15 @@ class PairView:
     width: float  # px
 
 
+@dataclass(frozen=True)
+class Course:
+    """How the light goes through one camera's view."""
+
+    velocity: Float[np.ndarray, "P 2"]  # over half the image diagonal, a frame
+    down: Float[np.ndarray, " P"]  # below the image's middle, as a share of its height
+    seen: Bool[np.ndarray, " P"]
+
+
 class Agreement:
     """Shares of matches for cameras under any clocks; what was computed once is kept.
 
@@ -118,12 +128,24 @@ class Agreement:
         """One camera's view on the common clock."""
         key = (camera, clock, b"" if within is None else within.tobytes())
         if key not in self._columns:
-            alone, moving = self.tracks.select_cameras([camera]), _of_camera(self._moving, camera)
-            moved = on_clock(alone, moving, np.array([clock.offset]), np.array([clock.rate])).applied(alone)
+            moved = self._moved(camera, clock).applied(self.tracks.select_cameras([camera]))
             moved = moved.select_frames(self._rows(within))
             lens = None if self._intrinsics is None else self._intrinsics.select([camera])
             self._columns[key] = normalise_tracks(moved, lens)
         return self._columns[key]
+
+    def _moved(self, camera: int, clock: Clock) -> OnClock:
+        alone, moving = self.tracks.select_cameras([camera]), _of_camera(self._moving, camera)
+        return on_clock(alone, moving, np.array([clock.offset]), np.array([clock.rate]))
+
+    def course(self, camera: int, clock: Clock) -> Course:
+        """How one camera's view moves on the common clock."""
+        step = APART * self.step
+        before, after = (self._column(camera, replace(clock, offset=clock.offset + by), None) for by in (-step, step))
+        seen = (before.visible & after.visible)[:, 0]
+        down, rows = np.zeros(len(seen)), self._rows(None)
+        down[: len(rows)] = self._moved(camera, clock).down[rows, 0]
+        return Course((after.points - before.points)[:, 0] / (2.0 * step), down, seen)
 
     def _rows(self, within) -> np.ndarray:
         rows = np.arange(self.tracks.frames) if within is None else np.flatnonzero(within)

@@ -24,8 +24,8 @@ from jaxpoint.motion import motion
 from jaxpoint.tracks import Tracks
 
 OFFSET, DRIFT, ROWS = -3, -2, -1
-"""The last columns, none of them solved for by `calibrate`: frames by which a camera shows the light late, by how many
-more at the end of the recording than at its start, and by how many more in the last image row than in the first."""
+"""The last columns: frames by which a camera shows the light late, by how many more at the end of the recording than at
+its start, and frames that it takes from its first image row to its last. `calibrate` solves for none, if not asked."""
 EXTRA = 3  # of them
 
 
@@ -63,7 +63,8 @@ class NormalEquations:
         """The step and covariance when these parameters are free, under these priors (weighed for this noise).
 
         Args:
-            extra: which of the extra columns are free too, in all cameras but the first, which is the clock.
+            extra: which of the extra columns are free too; ROWS in all cameras, the others in all but the first, which
+                is the clock.
 
         Raises:
             LinAlgError: the observations leave more than a similarity open.
@@ -72,6 +73,7 @@ class NormalEquations:
         free = np.pad(freedom.free, more)
         weight = np.pad(np.where(freedom.free, freedom.prior_weight, 0.0), more)
         free[1:, list(extra)] = True
+        free[0, ROWS] = ROWS in extra
         places = places_of(freedom.owner, len(free), freedom.free.shape[1], EXTRA).ravel()
         free &= (places == np.arange(free.size)).reshape(free.shape)
         pull = weight * np.pad(self.parameters - freedom.prior_mean, more)
@@ -123,11 +125,14 @@ def normal_equations(calibration: Calibration) -> NormalEquations:
 
 
 def _late(tracks: Tracks, velocity: Float[np.ndarray, "F C 2"]) -> Float[np.ndarray, "F C 2 3"]:
-    """Derivatives of the residuals by the extra columns: a late observation moves on along its velocity."""
+    """Derivatives of the residuals by the extra columns: a late observation moves on along its velocity.
+
+    A row that is read later shows the light earlier than it would.
+    """
     ids = tracks.frame_ids.astype(float)
     through = (ids - ids.mean()) / max(float(np.ptp(ids)), 1.0)
     down = tracks.pixels[..., 1] / tracks.image_sizes[:, 1] - 0.5
-    factors = np.stack([np.ones_like(down), np.broadcast_to(through[:, None], down.shape), down], axis=-1)
+    factors = np.stack([np.ones_like(down), np.broadcast_to(through[:, None], down.shape), -down], axis=-1)
     return -velocity[..., None] * factors[:, :, None]
 
 

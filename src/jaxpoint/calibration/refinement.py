@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxpoint.calibration.assembly import assemble_calibration
 from jaxpoint.calibration.hypotheses import Lenses
@@ -14,11 +13,11 @@ from jaxpoint.calibration.known_lenses import lens_test, refuted_lenses, unknown
 from jaxpoint.calibration.lens_choice import choose_lens, first_lens_again
 from jaxpoint.calibration.normal import normal_equations
 from jaxpoint.calibration.objective import Solution, better_by, solve_with
-from jaxpoint.calibration.offsets import InStep, brought_in_step
 from jaxpoint.calibration.prior_choice import PriorChoice
 from jaxpoint.calibration.recording import NOISE_PX, Freedom, Recording
-from jaxpoint.calibration.result import Calibration, Finding, PairTable, Stage, TimeOffsets
+from jaxpoint.calibration.result import Calibration, Finding, PairTable, ReadoutTimes, Stage, TimeOffsets
 from jaxpoint.calibration.shapes import has_hold, with_shapes
+from jaxpoint.calibration.timing import InStep, Times, brought_in_step
 from jaxpoint.calibration.twoview import NormalisedTracks, TwoViewGeometry
 from jaxpoint.calibration.uncertainty import variance_px2
 from jaxpoint.camera.lenses import LensChoice, chosen_lenses, lenses_of_models
@@ -71,7 +70,7 @@ def lenses_of(
 
 @dataclass
 class Refinement:
-    """One recording while its solution is refined; with time offsets its tracks change on the way."""
+    """One recording while its solution is refined; with time offsets or readout times its tracks change on the way."""
 
     recorded: Tracks
     tracks: Tracks
@@ -94,10 +93,10 @@ class Refinement:
             self.stages.append(stage)
         return self._lens(self._in_step_again(chosen))
 
-    def in_step(self, solution: Solution, offsets: Float[np.ndarray, " C"]) -> Solution:
+    def in_step(self, solution: Solution, times: Times) -> Solution:
         """The solution with the cameras brought to one clock."""
         state, freedom = solution.settled.judged.state, solution.freedom
-        self.clocks = brought_in_step(self.recorded, state, offsets, freedom, self.settings.outliers)
+        self.clocks = brought_in_step(self.recorded, state, times, freedom, self.settings.outliers)
         self.recording, self.tracks = self.clocks.recording, self.clocks.tracks
         return Solution(self.clocks.settled, freedom)
 
@@ -112,7 +111,7 @@ class Refinement:
         return solution
 
     def _in_step_again(self, solution: Solution) -> Solution:
-        return solution if self.clocks is None else self.in_step(solution, self.clocks.offsets)
+        return solution if self.clocks is None else self.in_step(solution, self.clocks.times)
 
     def _lens(self, solution: Solution) -> Solution:
         """Tangential and higher radial terms where they predict held-out frames better."""
@@ -151,28 +150,41 @@ class Refinement:
         self.findings += refuted_lenses(test, self.tracks.names)
         return trial
 
-    def with_offsets(self, found: Calibration) -> Calibration:
-        """The calibration with the time offsets that it was made with."""
+    def with_times(self, found: Calibration) -> Calibration:
+        """The calibration with the time offsets and readout times that it was made with."""
         if self.clocks is None:
             return found
-        clocks, names = self.clocks, self.recorded.names
-        sigma = clocks.unit_sigmas * np.sqrt(variance_px2(found))
+        clocks, times = self.clocks, self.clocks.times
+        sigmas = clocks.unit_sigmas * np.sqrt(variance_px2(found))
+        late = TimeOffsets(times.offsets, sigmas[:, 0]) if times.solve_offsets else None
+        rolling = None if times.readouts is None else ReadoutTimes(times.readouts, sigmas[:, 1])
         return replace(
             found,
-            stages=(*found.stages, _clock_stage(names, clocks, sigma, self.recorded, found.tracks)),
-            time_offsets=TimeOffsets(clocks.offsets, sigma),
+            stages=(*found.stages, _clock_stage(clocks, late, rolling, self.recorded, found.tracks)),
+            time_offsets=late,
+            readout_times=rolling,
             converged=found.converged and clocks.still,
-            message=found.message if clocks.still else f"{found.message}; the time offsets did not converge",
+            message=found.message if clocks.still else f"{found.message}; the {_what(late, rolling)} did not converge",
         )
 
 
-def _clock_stage(names: tuple[str, ...], clocks: InStep, sigma: np.ndarray, recorded: Tracks, used: Tracks) -> Stage:
-    shown = {name: f"{late:+.3f} ± {sure:.3f}" for name, late, sure in zip(names, clocks.offsets, sigma)}
+def _clock_stage(
+    clocks: InStep, late: TimeOffsets | None, rolling: ReadoutTimes | None, recorded: Tracks, used: Tracks
+) -> Stage:
+    found = {"frames": late, "readout_frames": rolling}
     return Stage(
-        "Time offsets",
+        _what(late, rolling).capitalize(),
         {
-            "frames": shown,
+            **{name: _shown(recorded.names, each) for name, each in found.items() if each is not None},
             "observations_left_out_for_want_of_neighbours_in_time": int(recorded.visible.sum() - used.visible.sum()),
             "rounds": clocks.rounds,
         },
     )
+
+
+def _what(late: TimeOffsets | None, rolling: ReadoutTimes | None) -> str:
+    return " and ".join(["time offsets"] * (late is not None) + ["readout times"] * (rolling is not None))
+
+
+def _shown(names: tuple[str, ...], found: TimeOffsets | ReadoutTimes) -> dict[str, str]:
+    return {name: f"{frames:+.3f} ± {sure:.3f}" for name, frames, sure in zip(names, found.frames, found.sigma)}

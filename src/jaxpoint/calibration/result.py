@@ -70,6 +70,14 @@ class TimeOffsets:
 
 
 @dataclass(frozen=True)
+class ReadoutTimes:
+    """How long rolling shutters take from the first image row to the last, in frames of the recording."""
+
+    frames: Float[np.ndarray, " C"]  # negative: read from below, as by a camera that hangs upside down
+    sigma: Float[np.ndarray, " C"]  # one standard deviation
+
+
+@dataclass(frozen=True)
 class FrameHold:
     """What holds a calibration's scale and frame beside its observations.
 
@@ -85,9 +93,9 @@ class FrameHold:
 class Calibration:
     """A calibrated rig, the light's path, and what became of every observation.
 
-    With `time_offsets`, `tracks` are not as recorded: every observation stands where its camera saw the light at the
-    row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is aligned, unless
-    targets of known size or known points gave it its scale (`unit` is "m" then).
+    With `time_offsets` or `readout_times`, `tracks` are not as recorded: every observation stands where its camera saw
+    the light at the row's moment on the first camera's clock. Lengths are in the solver's own unit until the result is
+    aligned, unless targets of known size or known points gave it its scale (`unit` is "m" then).
 
     Not a pytree: it is the record of a finished solve, in numpy on the host, with verdicts, words and settings that no
     program could take. Its `rig` and `tracks` are pytrees; derivatives of a calibration come from `chain_of`.
@@ -114,6 +122,7 @@ class Calibration:
     freedom: Freedom | None = None  # of the C cameras in the last adjustment; `uncertainty_of` needs it
     loss_scale: float | None = None  # px, of its Cauchy loss; None for least squares
     time_offsets: TimeOffsets | None = None  # where they were solved for
+    readout_times: ReadoutTimes | None = None  # where they were solved for
     hold: FrameHold | None = None  # targets or known points that took part in the adjustment
     findings: tuple[Finding, ...] = ()  # what `calibrate` met on the way; `calibration.quality` adds the rest
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxpoint.calibration.aspects import with_stated_aspects
 from jaxpoint.calibration.assembly import MIN_EXPLAINED, assemble_calibration
 from jaxpoint.calibration.board_calibration import boards_alone, calibrate_boards
+from jaxpoint.calibration.clock_fit import Clock
 from jaxpoint.calibration.contradiction import contradicted_camera, holds_without, left_out, left_out_unsolved
 from jaxpoint.calibration.degenerate import check_geometry, check_volume
 from jaxpoint.calibration.initial import Inputs, Start, starts
@@ -21,17 +22,19 @@ from jaxpoint.calibration.offset_search import joint_offsets, pair_offsets
 from jaxpoint.calibration.outliers import Settled, refine_coarse_to_fine, refine_to_convergence
 from jaxpoint.calibration.pairs import check_pairs, pair_table
 from jaxpoint.calibration.prior_checks import given_up
+from jaxpoint.calibration.readout_search import search_readouts
 from jaxpoint.calibration.recording import Recording
 from jaxpoint.calibration.refinement import Refinement, first_lenses, freedom_of, lenses_of
 from jaxpoint.calibration.result import Calibration, PairTable, Stage
 from jaxpoint.calibration.shared_lenses import groups_without, lens_owners
+from jaxpoint.calibration.timing import Times
 from jaxpoint.calibration.twoview import TwoViewGeometry, normalise_tracks, two_view_geometry
 from jaxpoint.calibration.warmup import WarmUp
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lenses import setting_without
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.config import CalibrateSettings
-from jaxpoint.errors import ContradictionError, InsufficientDataError
+from jaxpoint.errors import ContradictionError, InsufficientDataError, UsageError
 from jaxpoint.motion import moved_to_clock
 from jaxpoint.tracks import Tracks
 
@@ -72,7 +75,8 @@ def calibrate(
 
     Raises:
         InsufficientDataError: the tracks cannot determine a calibration; the message names camera and remedy.
-        UsageError: `settings.lens.distortion` names no lens, or one of another kind than the known ones.
+        UsageError: `settings.lens.distortion` names no lens, or one of another kind than the known ones; or readout
+            times are asked for where boards alone were seen.
         ValueError: known intrinsics of another number of cameras than the tracks have.
     """
     settings = settings or CalibrateSettings()
@@ -81,6 +85,11 @@ def calibrate(
     first_lenses(settings, intrinsics, tracks.names)  # refuses a wrong setting before anything is computed
     lens_owners(settings.lens.shared, tracks.names, tracks.image_sizes)
     if settings.init == "boards" or (settings.init == "auto" and tracks.cameras <= 2 and boards_alone(tracks)):
+        if settings.readout_times:
+            raise UsageError(
+                "Readout times are solved for from a moving light that three cameras or more see, not from boards "
+                "alone; leave out --readout-times, and hold the boards still."
+            )
         return calibrate_boards(tracks, settings, intrinsics=intrinsics, progress=progress)
     with jax.enable_x64(True):
         tracks = with_stated_aspects(tracks, settings.lens)
@@ -136,7 +145,7 @@ def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: P
     clock = [time.perf_counter()]
     tracks, pairs = recorded, pair_table(recorded)
     check_pairs(tracks, pairs, known_intrinsics=intrinsics is not None)
-    rough = _rough_offsets(recorded, settings, intrinsics, progress) if settings.time_offsets else None
+    rough = _rough_times(recorded, settings, intrinsics, progress)
     if rough is not None:
         tracks, pairs = _on_one_clock(recorded, rough, known_intrinsics=intrinsics is not None)
     recording, data = Recording.of(tracks), normalise_tracks(tracks, intrinsics)
@@ -168,7 +177,7 @@ def _solve(recorded: Tracks, settings, intrinsics: CameraRig | None, progress: P
     another_lens = chosen and not isinstance(found.rig.cameras.lens, Brown)
     stages = (_pair_stage(geometry, tracks.names), *stages, *refining.stages, _adjustment_stage(solution.settled))
     return replace(
-        with_reach(refining.with_offsets(replace(found, stages=stages))),
+        with_reach(refining.with_times(replace(found, stages=stages))),
         seconds={"init": clock[1] - clock[0], "adjust": clock[2] - clock[1], "total": clock[2] - clock[0]},
         findings=(*refining.findings, *given_up(freedom, solution.freedom, found.rig, another_lens)),
     )
@@ -190,8 +199,21 @@ def _pair_geometry(tracks, recording, data, settings, intrinsics, progress: Prog
     return geometry
 
 
+def _rough_times(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> Times | None:
+    """Where to start with what the settings ask for: time offsets and readout times from pairs of cameras."""
+    if not settings.time_offsets and not settings.readout_times:
+        return None
+    offsets = np.zeros(tracks.cameras)
+    if settings.time_offsets:
+        offsets = _rough_offsets(tracks, settings, intrinsics, progress)
+    readouts = None
+    if settings.readout_times:
+        known = {camera: Clock(offset) for camera, offset in enumerate(offsets.tolist())}
+        readouts = search_readouts(tracks.of_one_point(), known, settings.epipolar, settings.seed, intrinsics).frames
+    return Times(offsets, readouts, settings.time_offsets)
+
+
 def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> np.ndarray:
-    """Time offsets from pairs of cameras, frames (C,); the first is 0."""
     pairs = pair_offsets(
         tracks,
         settings.epipolar,
@@ -202,9 +224,9 @@ def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, prog
     return joint_offsets(pairs, tracks.cameras)
 
 
-def _on_one_clock(recorded: Tracks, rough: np.ndarray, known_intrinsics: bool) -> tuple[Tracks, PairTable]:
+def _on_one_clock(recorded: Tracks, rough: Times, known_intrinsics: bool) -> tuple[Tracks, PairTable]:
     """The tracks as if recorded in step, once it is seen that enough is left of them."""
-    tracks = moved_to_clock(recorded, rough)
+    tracks = moved_to_clock(recorded, rough.offsets, readouts=rough.readouts)
     pairs = pair_table(tracks)
     try:
         check_pairs(tracks, pairs, known_intrinsics=known_intrinsics)

@@ -98,6 +98,7 @@ class Calibrate(Options):
         """The tracks' cameras beside those of a calibrated room."""
         from jaxpoint.calibration.extension import extend_calibration
         from jaxpoint.calibration.quality import assess
+        from jaxpoint.commands.given_clocks import with_known_readouts
         from jaxpoint.runs import read_run
 
         if self.extend is None:
@@ -106,7 +107,10 @@ class Calibrate(Options):
             raise UsageError("--extend takes its lenses from the room; leave out --intrinsics.")
         if self.settings.time_offsets:
             raise UsageError("--extend needs cameras in step; leave out --time-offsets, and give --offset or --rate.")
+        if self.settings.readout_times:
+            raise UsageError("--extend solves for no readout times; leave out --readout-times, and give --readout.")
         run = read_run(self.extend)
+        tracks = with_known_readouts(tracks, self.input, run.calibration)
         found = extend_calibration(tracks, run.calibration, self.settings, self.recalibrate)
         before = assess(run.calibration, run.config.calibrate, run.config.align)
         return found if before.holds else replace(found, findings=(*found.findings, _did_not_pass(before)))

@@ -45,6 +45,7 @@ class Check(SeededOptions):
         """The pair table and what it means; data that does not suffice is a failure of the outcome."""
         from jaxpoint.calibration.clocks import survey_clocks
         from jaxpoint.calibration.pairs import pair_table
+        from jaxpoint.calibration.readout_search import survey_readouts
         from jaxpoint.report.advice import advise_on_tracks
 
         if self.out is not None:
@@ -59,6 +60,7 @@ class Check(SeededOptions):
                 intrinsics,
                 progress=lambda done, total: progress("cameras in step?", done, total),
             )
+            clocks = survey_readouts(clocks, tracks, EpipolarSettings(), self.seed, intrinsics)
         advice: list[Advice] = []
         missing: list[str] = []
         with extra("the advice", missing):

@@ -1,4 +1,4 @@
-"""Clocks of cameras as flags give them: `--offset cam_2=37`, `--rate all=30 --rate cam_2=29.83`."""
+"""Clocks of cameras as flags give them: `--offset cam_2=37`, `--rate cam_2=29.83`, `--readout all=0.6`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from jaxpoint.errors import InsufficientDataError, UsageError
 
 if TYPE_CHECKING:
     import numpy as np
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
 
+    from jaxpoint.calibration.result import Calibration
     from jaxpoint.tracks import Tracks
 
-ALL = "all"  # in `--rate`, every camera that is not named
+ALL = "all"  # in `--rate` and `--readout`, every camera that is not named
+LONGEST = 1.0  # frames: a camera reads an image before it takes the next
 
 
 def without_left_out(tracks: Tracks, names: Sequence[str]) -> Tracks:
@@ -30,32 +32,39 @@ def without_left_out(tracks: Tracks, names: Sequence[str]) -> Tracks:
 
 
 def on_given_clock(tracks: Tracks, settings: InputSettings) -> Tracks:
-    """The tracks brought to one clock by the offsets and rates of the settings; as they are where none is given.
+    """The tracks brought to one clock by the offsets, rates and readout times of the settings, if any is given.
 
     Raises:
         UsageError: a camera that is not there or named twice, or a number that cannot be used.
         InsufficientDataError: a camera has nothing left.
     """
-    if not settings.offset and not settings.rate:
+    if not settings.offset and not settings.rate and not settings.readout:
         return tracks
     import numpy as np
 
-    from jaxpoint.motion import moved_to_clock, without_jumps
+    from jaxpoint.motion import moved_to_clock
 
     offsets, rates = given_offsets(tracks, settings.offset), given_rates(tracks, settings.rate)
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
+    readouts = given_readouts(tracks, settings.readout) if settings.readout else None
+    usable = _usable(tracks)
     for camera in np.flatnonzero(rates != 1.0).tolist():
         tracks, rates[camera] = _evenly(tracks, camera, usable, float(rates[camera]))
-    usable = without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
-    moved = moved_to_clock(tracks, offsets, rates, usable)
+    moved = moved_to_clock(tracks, offsets, rates, _usable(tracks), readouts)
     empty = np.flatnonzero(tracks.visible.any(axis=0) & ~moved.visible.any(axis=0))
     if len(empty):
         raise InsufficientDataError(
             f"Brought to one clock, camera '{tracks.names[empty[0]]}' has no light left in the frames "
-            f"{tracks.frame_ids[0]} to {tracks.frame_ids[-1]} of the tracks; look at the sign and size of its --offset "
-            "and --rate."
+            f"{tracks.frame_ids[0]} to {tracks.frame_ids[-1]} of the tracks; look at the sign and size of its "
+            "--offset, --rate and --readout."
         )
     return moved
+
+
+def _usable(tracks: Tracks) -> Bool[np.ndarray, "F C"]:
+    """The observations from which the light's motion is taken."""
+    from jaxpoint.motion import without_jumps
+
+    return without_jumps(tracks.pixels, tracks.visible, tracks.series_ids, tracks.image_sizes[:, 0].astype(float))
 
 
 def _evenly(tracks: Tracks, camera: int, usable, rate: float) -> tuple[Tracks, float]:
@@ -103,6 +112,39 @@ def given_rates(tracks: Tracks, given: Sequence[str]) -> Float[np.ndarray, " C"]
             f"cameras, and the tracks hold no times; give that too: --rate {ALL}=30."
         )
     return np.array([values.get(name, common) / common for name in tracks.names])
+
+
+def given_readouts(tracks: Tracks, given: Sequence[str]) -> Float[np.ndarray, " C"]:
+    """Frames that each camera takes from its first image row to its last; 0 where neither it nor `all` is named."""
+    import numpy as np
+
+    values = _values(given, "--readout", "cam_2=0.6")
+    for name, frames in values.items():
+        if abs(frames) > LONGEST:
+            raise UsageError(
+                f"--readout {name}={frames:g} cannot be used; from its first row to its last a camera takes at most "
+                f"{LONGEST:g} frame. Give frames, not milliseconds: the line delay times the rows times the frame rate."
+            )
+    common = values.pop(ALL, 0.0)
+    _check_known(tracks, values, "--readout")
+    return np.array([values.get(name, common) for name in tracks.names])
+
+
+def with_known_readouts(tracks: Tracks, settings: InputSettings, calibration: Calibration) -> Tracks:
+    """The tracks of another recording on one clock, where a calibration knows the readout times of its cameras.
+
+    As they are where the settings give readout times: those were heeded when the tracks were read.
+    """
+    known = calibration.readout_times
+    if known is None or settings.readout:
+        return tracks
+    import numpy as np
+
+    from jaxpoint.motion import moved_to_clock
+
+    values = dict(zip(calibration.rig.names, known.frames.tolist()))
+    readouts = np.array([values.get(name, 0.0) for name in tracks.names])
+    return moved_to_clock(tracks, np.zeros(tracks.cameras), usable=_usable(tracks), readouts=readouts)
 
 
 def rate_of_times(tracks: Tracks) -> float | None:

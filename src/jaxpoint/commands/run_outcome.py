@@ -8,13 +8,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxpoint.calibration.clock_findings import readout_flags
 from jaxpoint.calibration.quality import Quality, assess
 from jaxpoint.calibration.result import Calibration
 from jaxpoint.commands.console import table
 from jaxpoint.commands.options import Outcome, at
 from jaxpoint.config import RoomConfig
 from jaxpoint.extras import extra
-from jaxpoint.report.tables import offset_texts
+from jaxpoint.report.tables import offset_texts, readout_texts
 from jaxpoint.runs import write_run
 
 
@@ -70,6 +71,15 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
     if late is not None:
         header = (*header, f"frames after {rows[0][0]}")
         rows = [(*row, offset) for row, offset in zip(rows, offset_texts(late))]
+    rolling = calibration.readout_times
+    if rolling is not None:
+        header = (*header, "frames first row to last")
+        rows = [(*row, readout) for row, readout in zip(rows, readout_texts(rolling))]
+    given = (
+        ()
+        if rolling is None
+        else (f"in other recordings: {readout_flags(calibration.rig.names, rolling.frames.tolist())}",)
+    )
     summary = (
         f"mean {errors['mean_px']:.3f} px, rms {errors['rms_px']:.3f} px over {observations['used']} of "
         f"{observations['total']} observations, {frames['used']} of {frames['total']} frames, "
@@ -87,7 +97,7 @@ def _lines(calibration: Calibration, quality: Quality, figures: dict[str, Any]) 
         )
     )
     care = [f"{item.finding} {item.remedy}." for item in quality.findings if item.level == "care"]
-    return (*table(header, rows), summary, *in_room, *care)
+    return (*table(header, rows), *given, summary, *in_room, *care)
 
 
 def _number(value: float | None, digits: str) -> str:

@@ -144,9 +144,11 @@ def _cause(lengths: LengthValidation, allowed_mm: float) -> str:
 
 
 def _other_recording(run: Run, path: Path) -> HeldOutValidation:
+    from jaxpoint.commands.given_clocks import with_known_readouts
     from jaxpoint.validation import validate_held_out
 
-    # The timestamps and clocks of the run belong to its own recording; a camera left out is none of the rig.
+    # The timestamps and clocks of the run belong to its own recording, but for the readout times of its cameras; a
+    # camera left out is none of the rig.
     settings = replace(run.config.input, timestamps=None, offset=(), rate=())
     tracks, names = tracks_from(path, settings), run.calibration.rig.names
     if sorted(tracks.names) != sorted(names):
@@ -154,7 +156,10 @@ def _other_recording(run: Run, path: Path) -> HeldOutValidation:
             f"'{path}' has the cameras {', '.join(tracks.names)}, the calibration {', '.join(names)}; give tracks of "
             "the same cameras under the same names."
         )
-    return validate_held_out(run.calibration.rig, tracks.select_cameras([tracks.names.index(name) for name in names]))
+    tracks = with_known_readouts(
+        tracks.select_cameras([tracks.names.index(name) for name in names]), settings, run.calibration
+    )
+    return validate_held_out(run.calibration.rig, tracks)
 
 
 def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationDifference]:
@@ -165,7 +170,9 @@ def _halves(run: Run, console: Console) -> tuple[HeldOutValidation, CalibrationD
     from jaxpoint.validation import compare_calibrations, validate_held_out
 
     tracks = run.calibration.tracks
-    settings = replace(run.config.calibrate, time_offsets=False)  # these tracks stand on one clock already
+    settings = replace(
+        run.config.calibrate, time_offsets=False, readout_times=False
+    )  # these tracks stand on one clock already
     intrinsics = intrinsics_from(run.config.input, tracks)
     even, odd = (tracks.select_frames(np.arange(start, tracks.frames, 2)) for start in (0, 1))
     with console.progress() as progress:

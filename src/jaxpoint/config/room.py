@@ -118,6 +118,8 @@ class CalibrateSettings:
     outliers: OutlierSettings = field(default_factory=OutlierSettings)
     time_offsets: bool = False
     """Cameras are out of step by up to 2 frames each: solve for a time offset of every camera too."""
+    readout_times: bool = False
+    """Cameras have rolling shutters: solve for the time of every camera from its first image row to its last too."""
     held_out: Fraction = 0.1
     """Fraction of the frames kept aside to judge the distortion model; all are used in the last adjustment."""
     max_mean_px: Positive = 1.0
@@ -164,6 +166,9 @@ class InputSettings:
     """NAME=RATE, frames a second, once for each camera that runs faster or slower than the others; these run at
     `all=30`, or at the rate of the tracks' times. Only ratios matter. `all=30` and `cam_2=29.83`: its frame 2983 shows
     what the others' frame 3000 shows; where its recording repeats or skips frames for that, these are put right."""
+    readout: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
+    """NAME=FRAMES, once for each camera with a rolling shutter: it takes so many frames from its first image row to its
+    last (negative where it hangs upside down); `all=0.6` means every camera that is not named."""
     leave_out: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
     """Name of a camera that is not used; once for each."""
 

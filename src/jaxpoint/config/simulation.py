@@ -18,6 +18,8 @@ from jaxpoint.config.types import Count, Fraction, Positive
 AtLeastOne = Annotated[int, Meta(ge=1)]
 ImageSide = Annotated[int, Meta(ge=32, multiple_of=2)]
 """Of an image, px: the colours of a video are stored for two pixels at once."""
+Readout = Annotated[float, Meta(ge=-1, le=1)]
+"""Frames from the first image row to the last."""
 FrameRate = Annotated[float, Meta(ge=0.01, le=1000)]
 """Frames a second that an mp4 file can have."""
 
@@ -121,6 +123,9 @@ class WaveSettings:
     """Strength of the mirror images in screens, window and table tops."""
     glints: Count = 2
     """Small steady lights, as devices on standby have them."""
+    readouts: tuple[tuple[Count, Readout], ...] = ()
+    """Camera number and the frames that its rolling shutter takes from its first image row to its last, negative from
+    below; the others have global shutters."""
 
 
 @dataclass(frozen=True)

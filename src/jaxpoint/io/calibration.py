@@ -19,6 +19,8 @@ Version 1:
                                                "gauge": "free" or "landmarks"}
      "time_offsets": {"frames": [0.0, ...], "sigma": [0.0, ...]},      one a camera, only where they were solved for:
                                            by how many frames it shows the light later than the first camera
+     "readout_times": {"frames": [0.6, ...], "sigma": [0.01, ...]},    one a camera, only where they were solved for:
+                                           frames from its first image row to its last
      "provenance": {...}}                  free: versions, seed, hashes of the input, time, ...
 
 `covariance.matrix` is pC x pC, the parameters of the first camera first, in the order of `parameters` (that of
@@ -28,13 +30,13 @@ Version 1:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.calibration.result import ReadoutTimes, TimeOffsets
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import StrPath, read_text, replacing
@@ -50,6 +52,7 @@ from jaxpoint.io.rig_entries import (
 CALIBRATION_FORMAT = "jaxpoint-calibration"
 CALIBRATION_VERSION = 1
 CALIBRATION_UNITS = ("m", "arbitrary", UNSTATED)
+OneTimes = TypeVar("OneTimes", TimeOffsets, ReadoutTimes)
 
 
 class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
@@ -58,7 +61,7 @@ class _CovarianceEntry(msgspec.Struct, forbid_unknown_fields=True):
     gauge: str | None = None
 
 
-class _TimeOffsetsEntry(msgspec.Struct, forbid_unknown_fields=True):
+class _TimesEntry(msgspec.Struct, forbid_unknown_fields=True):
     frames: list[float]
     sigma: list[float]
 
@@ -70,7 +73,8 @@ class _CalibrationFile(msgspec.Struct, forbid_unknown_fields=True):
     cameras: list[CameraEntry]
     covariance: _CovarianceEntry | None = None
     provenance: dict[str, Any] = {}
-    time_offsets: _TimeOffsetsEntry | msgspec.UnsetType = msgspec.UNSET
+    time_offsets: _TimesEntry | msgspec.UnsetType = msgspec.UNSET
+    readout_times: _TimesEntry | msgspec.UnsetType = msgspec.UNSET
     in_room: bool | msgspec.UnsetType = msgspec.UNSET  # only where it is not, though in metres
 
 
@@ -83,6 +87,7 @@ def write_calibration_json(
     gauge: str | None = None,
     provenance: Mapping[str, Any] | None = None,
     time_offsets: TimeOffsets | None = None,
+    readout_times: ReadoutTimes | None = None,
     in_room: bool = True,
 ) -> None:
     """Write a rig as `calibration.json` (schema: this module's docstring), at once or not at all.
@@ -93,12 +98,22 @@ def write_calibration_json(
         gauge: what holds its frame, "free" or "landmarks" (see `calibration.uncertainty`).
         provenance: anything JSON can hold.
         time_offsets: of the cameras, where they were solved for.
+        readout_times: likewise.
         in_room: False for metres of a frame of the solver's own.
 
     Raises:
         ValueError: a number is not finite, or the covariance has another shape.
     """
-    saved = SavedCalibration(rig, unit, covariance, gauge, dict(provenance or {}), time_offsets, in_room)
+    saved = SavedCalibration(
+        rig,
+        unit,
+        covariance,
+        gauge,
+        dict(provenance or {}),
+        time_offsets,
+        in_room,
+        readout_times=readout_times,
+    )
     content = encode_calibration(saved)
     with replacing(path) as file:
         file.write(content)
@@ -110,7 +125,7 @@ def encode_calibration(saved: SavedCalibration) -> bytes:
     Raises:
         ValueError: a number is not finite, or the covariance has another shape.
     """
-    rig, covariance, late = saved.rig, saved.covariance, saved.time_offsets
+    rig, covariance = saved.rig, saved.covariance
     size = rig.camera_size * len(rig)
     if covariance is not None and np.shape(covariance) != (size, size):
         raise ValueError(f"The covariance is {np.shape(covariance)}; {len(rig)} cameras need {(size, size)}.")
@@ -118,10 +133,10 @@ def encode_calibration(saved: SavedCalibration) -> bytes:
     entry = None
     if covariance is not None:
         entry = _CovarianceEntry(list(rig.cameras.parameter_names()), np.asarray(covariance).tolist(), saved.gauge)
-    offsets = msgspec.UNSET if late is None else _TimeOffsetsEntry(late.frames.tolist(), late.sigma.tolist())
+    times = _entry(saved.time_offsets), _entry(saved.readout_times)
     own = False if saved.unit == "m" and not saved.in_room else msgspec.UNSET
     content = _CalibrationFile(
-        CALIBRATION_FORMAT, CALIBRATION_VERSION, saved.unit, saved.entries(), entry, saved.provenance, offsets, own
+        CALIBRATION_FORMAT, CALIBRATION_VERSION, saved.unit, saved.entries(), entry, saved.provenance, *times, own
     )
     return msgspec.json.format(msgspec.json.encode(content), indent=1)
 
@@ -156,21 +171,30 @@ def read_calibration_json(path: StrPath, poses: bool = True) -> SavedCalibration
     rig = rig_of_entries(path, content.cameras, poses)
     entry = content.covariance
     gauge = None if entry is None else entry.gauge
-    late = _time_offsets(path, content.time_offsets, len(rig))
+    late = _times(path, "time_offsets", content.time_offsets, TimeOffsets, len(rig))
+    rolling = _times(path, "readout_times", content.readout_times, ReadoutTimes, len(rig))
     covariance, in_room = _covariance(path, entry, rig), content.in_room is not False
     posed = all(camera.rotation is not None and camera.translation is not None for camera in content.cameras)
-    return SavedCalibration(rig, content.unit, covariance, gauge, content.provenance, late, in_room, posed)
+    return SavedCalibration(
+        rig, content.unit, covariance, gauge, content.provenance, late, in_room, posed, readout_times=rolling
+    )
 
 
-def _time_offsets(path: StrPath, entry: _TimeOffsetsEntry | msgspec.UnsetType, cameras: int) -> TimeOffsets | None:
+def _entry(times: TimeOffsets | ReadoutTimes | None) -> _TimesEntry | msgspec.UnsetType:
+    return msgspec.UNSET if times is None else _TimesEntry(times.frames.tolist(), times.sigma.tolist())
+
+
+def _times(
+    path: StrPath, name: str, entry: _TimesEntry | msgspec.UnsetType, kind: type[OneTimes], cameras: int
+) -> OneTimes | None:
     if isinstance(entry, msgspec.UnsetType):
         return None
     if len(entry.frames) != cameras or len(entry.sigma) != cameras:
         raise FileFormatError(
-            f"{path}: `$.time_offsets` has {len(entry.frames)} frames and {len(entry.sigma)} sigmas for {cameras} "
+            f"{path}: `$.{name}` has {len(entry.frames)} frames and {len(entry.sigma)} sigmas for {cameras} "
             "cameras; one each is needed."
         )
-    return TimeOffsets(np.array(entry.frames), np.array(entry.sigma))
+    return kind(np.array(entry.frames), np.array(entry.sigma))
 
 
 def _covariance(path: StrPath, entry: _CovarianceEntry | None, rig: CameraRig) -> np.ndarray | None:

@@ -179,6 +179,7 @@ def saved_of(calibration: Calibration | SavedCalibration | CameraRig) -> SavedCa
         calibration.gauge,
         time_offsets=calibration.time_offsets,
         in_room=calibration.in_room,
+        readout_times=calibration.readout_times,
     )
 
 

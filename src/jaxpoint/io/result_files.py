@@ -35,6 +35,7 @@ def save_result(folder: Path, calibration: Calibration, provenance: dict[str, An
         gauge=calibration.gauge,
         provenance=provenance,
         time_offsets=calibration.time_offsets,
+        readout_times=calibration.readout_times,
         in_room=calibration.in_room,
     )
     save_tracks(folder / "tracks.npz", calibration.tracks)
@@ -102,6 +103,7 @@ def load_result(folder: Path) -> Calibration:
         gauge=saved.gauge,
         undetermined=about.get("undetermined", ""),
         time_offsets=saved.time_offsets,
+        readout_times=saved.readout_times,
         seed=about["seed"],
         freedom=freedom,
         loss_scale=about.get("loss_scale"),

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jaxpoint.calibration.result import TimeOffsets
+from jaxpoint.calibration.result import ReadoutTimes, TimeOffsets
 from jaxpoint.camera.brown import Brown
 from jaxpoint.camera.lens import AbstractLens
 from jaxpoint.camera.mixed import own_coefficients
@@ -52,6 +52,7 @@ class SavedCalibration:
     in_room: bool = True  # False where the file says that its metres are of a frame of the solver's own
     posed: bool = True  # False where the file holds lenses alone: the poses of the rig are the identity
     notes: tuple[str, ...] = ()  # what a reader of the file must know, a sentence each
+    readout_times: ReadoutTimes | None = None
 
     def entries(self) -> list[CameraEntry]:
         """The cameras as plain numbers, without poses where there are none.

@@ -9,7 +9,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxpoint.calibration.camera_clock import CameraClock
-from jaxpoint.calibration.clock_findings import HELD, Timing, cause, contradicts, finding, flags, held_share
+from jaxpoint.calibration.clock_findings import (
+    HELD,
+    Timing,
+    cause,
+    contradicts,
+    finding,
+    flags,
+    held_share,
+    readout_flags,
+)
 from jaxpoint.calibration.pairs import MIN_FRAMES
 from jaxpoint.motion import motion
 from jaxpoint.report.gathered import edge_of_lens, gathered_place, gathered_time
@@ -21,6 +30,9 @@ ENOUGH_SHARED = 30  # frames that a camera should share with at least two others
 BORDER = 6.0  # px from the edge of an image within which a light may be cut off
 ENOUGH_COVERAGE = 0.4  # fraction of the cells of an image that the light should visit
 LEAST_OFFSET = 0.2  # frames; pairs of cameras in step come to 0.11 at most (simulated), 0.03 (real recordings)
+SURE_READOUT = 6.0  # sigmas of a readout time; global shutters come to 3.3 (simulated), 1.5 (real), wide lenses to 4.8
+LIKELY_READOUT = 3.0  # sigmas from which a camera is named where another is sure,
+LEAST_READOUT = 0.1  # frames; and not below this
 LEAST_RESIDUAL_OFFSET = 0.05  # frames, of residuals; cameras in step come to 0.01 at most, simulated or real
 _EDGE = 0.03  # of a camera's observations beyond the radius from which its lens model fails: it is no mere border
 _REACHED = 0.9  # of the radius where a lens model folds back; light that was seen there shaped it
@@ -66,6 +78,7 @@ def advise_on_tracks(tracks: Tracks, clocks: Sequence[CameraClock] = ()) -> list
         *on_views(tracks.visible),
         *on_clocks(clocks, Timing.of(tracks), held_share(tracks)),
         *on_offsets(clocks),
+        *on_readouts(clocks),
     ]
     return sorted(found, key=lambda advice: not advice.urgent)
 
@@ -248,6 +261,26 @@ def on_offsets(clocks: Sequence[CameraClock]) -> Iterator[Advice]:
             f"The cameras are out of step: {', '.join(said)}.",
             f"{_SOLVE_OFFSETS}; better still, trigger the cameras together.",
             urgent=any(abs(clock.offset_frames) >= 0.5 for clock in late),
+        )
+
+
+def on_readouts(clocks: Sequence[CameraClock]) -> Iterator[Advice]:
+    """Matches that miss each other along the light's motion the more the lower they lie: rolling shutters."""
+    rolling = [
+        (clock.name, clock.readout_frames, clock.readout_sigma)
+        for clock in clocks
+        if clock.readout_frames is not None and clock.readout_sigma is not None
+    ]
+    likely = [one for one in rolling if abs(one[1]) > max(LIKELY_READOUT * one[2], LEAST_READOUT)]
+    if any(abs(by) > SURE_READOUT * sigma for _, by, sigma in likely):
+        said = [
+            f"{abs(by):.2f} ± {sigma:.2f} frames {'after' if by > 0 else 'before'} in {name}"
+            for name, by, sigma in likely
+        ]
+        yield Advice(
+            f"The last image row is read after the first (rolling shutters): {', '.join(said)}.",
+            "Calibrate with `--readout-times` (calibrate.readout_times = true), which solves for them; where they are "
+            f"known, give `{readout_flags([name for name, _, _ in likely], [by for _, by, _ in likely])}`.",
         )
 
 

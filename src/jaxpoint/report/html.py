@@ -86,7 +86,7 @@ def write_report(
         tiles=_tiles(summary, calibration, seconds),
         advice=[*advice_of(quality.findings), *advice] or [_NO_ADVICE],
         fits=tables.fit_table(summary),
-        lenses=tables.lens_table(summary, calibration.time_offsets),
+        lenses=tables.lens_table(summary, calibration.time_offsets, calibration.readout_times),
         accuracy=shown,
         figures=figures,
         rig_caption=_rig_caption(calibration.alignment),

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxpoint.calibration.camera_clock import CameraClock
 from jaxpoint.calibration.offset_search import PairOffset
-from jaxpoint.calibration.result import PairTable, Stage, TimeOffsets, Verdict
+from jaxpoint.calibration.result import PairTable, ReadoutTimes, Stage, TimeOffsets, Verdict
 from jaxpoint.report.advice import ENOUGH_SHARED
 from jaxpoint.report.style import short_names
 from jaxpoint.report.summary import BEST, Summary, mean, mean_of_best, worst_outliers
@@ -81,8 +81,8 @@ def fit_table(summary: Summary) -> Table:
     return Table(header, rows)
 
 
-def lens_table(summary: Summary, late: TimeOffsets | None = None) -> Table:
-    """One row a camera: its lens and its place, and its time offset where that was solved for."""
+def lens_table(summary: Summary, late: TimeOffsets | None = None, rolling: ReadoutTimes | None = None) -> Table:
+    """One row a camera: its lens and its place, and its time offset and readout time where these were solved for."""
     unit = "m" if summary.scene.unit == "m" else "solver's unit"
     header = [
         "Camera", "Image", "Focal length", "Principal point", "View\nacross", "Distortion", f"Position, {unit}",
@@ -102,6 +102,9 @@ def lens_table(summary: Summary, late: TimeOffsets | None = None) -> Table:
     if late is not None:
         header.append(f"Frames after\n{summary.names[0]}")
         rows = [[*row, offset] for row, offset in zip(rows, offset_texts(late))]
+    if rolling is not None:
+        header.append("Frames, first\nrow to last")
+        rows = [[*row, readout] for row, readout in zip(rows, readout_texts(rolling))]
     return Table(header, rows)
 
 
@@ -120,6 +123,11 @@ def _distortion_text(summary: Summary, camera: int) -> str:
 def offset_texts(late: TimeOffsets) -> list[str]:
     """The offset of every camera with its standard deviation, frames; the first is the clock."""
     return ["the clock", *(f"{by:+.3f} ± {sure:.3f}" for by, sure in zip(late.frames[1:], late.sigma[1:]))]
+
+
+def readout_texts(rolling: ReadoutTimes) -> list[str]:
+    """The readout time of every camera with its standard deviation, frames."""
+    return [f"{frames:+.3f} ± {sure:.3f}" for frames, sure in zip(rolling.frames, rolling.sigma)]
 
 
 def moment_table(names: Sequence[str], pairs: Sequence[PairOffset]) -> Table:
@@ -174,7 +182,15 @@ def clock_table(names: Sequence[str], clocks: Sequence[CameraClock]) -> Table:
         ]
         for name, clock in zip(names, clocks)
     ]
+    if any(clock.readout_frames is not None for clock in clocks):
+        header.insert(3, "Frames, first\nrow to last")
+        for row, clock in zip(rows, clocks):
+            row.insert(3, _readout_text(clock.readout_frames, clock.readout_sigma))
     return Table(header, rows)
+
+
+def _readout_text(frames: float | None, sigma: float | None) -> str:
+    return "?" if frames is None or sigma is None else f"{frames:+.2f} ± {sigma:.2f}"
 
 
 def kept_table(summary: Summary) -> Table:

@@ -17,6 +17,7 @@ from jaxpoint.tracks import Tracks
 
 ROOM_M = np.array([6.0, 5.0, 3.0])  # length, width, height of the room
 IMAGE_PX = (1280, 720)
+ROLLING_STEPS = 8  # to the moment at which a rolling shutter meets the light; each leaves a tenth of the error or less
 MIN_SHARED = 30  # frames that every camera shares with at least two others
 
 
@@ -34,7 +35,8 @@ class RandomRoom:
     is_outlier: Bool[np.ndarray, "F C"]
     is_epipolar: Bool[np.ndarray, "F C"]  # outliers that lie along the epipolar line of another camera
     noise_px: float
-    time_offsets: Float[np.ndarray, " C"]  # frames: in frame f camera c shows where the light was at f - offset
+    time_offsets: Float[np.ndarray, " C"]  # frames: in frame f camera c shows where the light was at f - offset,
+    readouts: Float[np.ndarray, " C"]  # frames from the first image row to the last, and its middle row then
 
     @property
     def positions(self) -> Float[np.ndarray, "C 3"]:
@@ -72,6 +74,7 @@ def random_room(
     noise_px: float | None = None,
     stride: int = 6,
     time_offsets: Float[np.ndarray, " C"] | None = None,
+    readouts: Float[np.ndarray, " C"] | None = None,
 ) -> RandomRoom:
     """One random room; what is not given is drawn from `seed`.
 
@@ -88,6 +91,8 @@ def random_room(
             a frame; 24 a brisk one, 20 px.
         time_offsets: frames by which each of the cameras (their number must be given) shows the light late; `points`
             is the light on the common clock. All else of a room stays as its seed says.
+        readouts: frames that each of the cameras (their number must be given) takes from its first image row to its
+            last, as rolling shutters do; negative from below. The offset is then that of its middle row.
     """
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 13)) if cameras is None else cameras
@@ -95,9 +100,9 @@ def random_room(
     kept = rng.uniform(0.4, 1.0) if visibility is None else visibility
     outlier_share = rng.uniform(0.0, 0.1) if outliers is None else outliers
     noise = rng.uniform(0.3, 1.0) if noise_px is None else noise_px
-    offsets = np.zeros(count) if time_offsets is None else np.asarray(time_offsets, float)
+    clocks = [np.zeros(count) if each is None else np.asarray(each, float) for each in (time_offsets, readouts)]
     for _ in range(1000):
-        room = _draw(rng, count, (frames, stride), layout, kept, outlier_share, noise, offsets)
+        room = _draw(rng, count, (frames, stride), layout, kept, outlier_share, noise, clocks)
         shared = (room.tracks.visible[:, :, None] & room.tracks.visible[:, None, :]).sum(axis=0)
         np.fill_diagonal(shared, 0)
         if ((shared >= MIN_SHARED).sum(axis=1) >= 2).all():
@@ -108,7 +113,7 @@ def random_room(
     )
 
 
-def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> RandomRoom:
+def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, clocks) -> RandomRoom:
     """One room, not yet checked for how much its cameras share."""
     frames = wave[0]
     focal = rng.uniform(500.0, 1500.0, cameras)
@@ -117,7 +122,7 @@ def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Ra
     rotation, translation = random_poses(rng, cameras, layout)
     lens = (focal, center, distortion, rotation, translation)
     path = waved_path(rng, *wave)
-    shown = np.stack([path(np.arange(frames) - offset) for offset in offsets], axis=1)
+    shown = _shown_to_each(lens, path, frames, *clocks)
     exact, in_view = _seen_by_each(lens, shown)
     visible = in_view & (rng.random(in_view.shape) < kept)
     pixels = exact + rng.normal(0.0, noise, exact.shape)
@@ -131,7 +136,7 @@ def _draw(rng, cameras, wave, layout, kept, outlier_share, noise, offsets) -> Ra
         pixels[frame, camera] = displaced_pixel(rng, lens, shown[frame], exact[frame, camera], camera, other, noise)
     sizes = np.tile(np.array(IMAGE_PX), (cameras, 1))
     tracks = Tracks.from_pixels(pixels, sizes, visible, times=np.arange(frames) / 25.0)
-    return RandomRoom(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), offsets)
+    return RandomRoom(tracks, *lens, path(np.arange(frames)), is_outlier, is_epipolar, float(noise), *clocks)
 
 
 def _random_lens(rng, focal) -> np.ndarray:
@@ -191,6 +196,16 @@ def smooth_path(places: Float[np.ndarray, "K 3"], frames: int) -> Callable[[np.n
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(np.linspace(0.0, frames - 1.0, len(places)), places)
+
+
+def _shown_to_each(lens, path, frames, offsets, readouts) -> np.ndarray:
+    """Where the light is (F, C, 3) when each camera's shutter reaches the row in which it shows it."""
+    middle = np.arange(frames)[:, None] - offsets
+    shown = path(middle)
+    for _ in range(ROLLING_STEPS if readouts.any() else 0):
+        row = np.clip(_seen_by_each(lens, shown)[0][..., 1], 0.0, IMAGE_PX[1])
+        shown = path(middle + readouts * (row / IMAGE_PX[1] - 0.5))
+    return shown
 
 
 def _seen_by_each(lens, shown) -> tuple[np.ndarray, np.ndarray]:

@@ -1,11 +1,13 @@
 """A light waved through the dark room: what `detect led` is made for, with what disturbs it.
 
 The light is a matt ball around an LED. Shiny furniture mirrors it, devices on standby glow steadily, and a dim person
-who carries it hides it from some cameras.
+who carries it hides it from some cameras. A rolling shutter shows the light, and each of its mirror images, where it is
+when that row is read.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +16,7 @@ from numpy.random import Generator
 from scipy.interpolate import CubicSpline
 
 from jaxpoint.config.simulation import WaveSettings
+from jaxpoint.errors import UsageError
 from jaxpoint.simulate.capsules import Capsule
 from jaxpoint.simulate.mesh import Mesh, Part
 from jaxpoint.simulate.render import LitPeople, RoomView, draw_people
@@ -28,6 +31,7 @@ HALO = 0.02  # of the lens, over the peak
 SOFT_PX = 0.7  # standard deviation of the lens's blur
 HALO_PX = 5.0
 LED_LIGHT = 0.002  # what the LED sheds on things 1 m away, over the lamps
+ROLLING_STEPS = 5  # to the moment at which a rolling shutter meets the light
 SURFACE_M = 0.03  # what is nearer than this to a surface counts as on it
 
 
@@ -77,7 +81,8 @@ class SimulatedWave:
     """A wave in the room of a session, seen by its cameras."""
 
     session: SimulatedSession
-    light: Float[np.ndarray, "F 3"]  # m
+    path: Callable[[np.ndarray], np.ndarray]  # of the light, m, at any moments, in frames
+    light: Float[np.ndarray, "F 3"]  # m; where it is when the middle row of each image is read
     behind: Float[np.ndarray, " F"]  # rad, direction from the light to who carries it
     glints: Float[np.ndarray, "G 3"]  # m
     stature_m: float
@@ -103,10 +108,11 @@ class SimulatedWave:
         """One camera's image of one moment."""
         session = self.session
         view, room, sensor = session.viewpoints[camera], session.rooms[camera], session.sensors[camera]
-        carrier = Carrier.at(self.light[frame], self.behind[frame], self.stature_m)
-        shown = draw_people(view, room, _dimly_lit(carrier.mesh(), self.light[frame], self.darkness)).image
+        light = self.shown(frame, camera)
+        carrier = Carrier.at(light, self.behind[frame], self.stature_m)
+        shown = draw_people(view, room, _dimly_lit(carrier.mesh(), light, self.darkness)).image
         shown *= np.float32(self.darkness)
-        for spot in self._spots(view, frame, carrier):
+        for spot in self._spots(frame, camera, light, carrier):
             _add_spot(shown, sensor.response, view, room, spot)
         rng = np.random.default_rng([session.seed, 4, camera, frame])
         return sensor.develop(shown, session.noise.window(rng))
@@ -114,32 +120,70 @@ class SimulatedWave:
     def visible(self, frame: int, camera: int) -> bool:
         """Whether the camera sees the light itself, inside its image and hidden by nothing."""
         view, room = self.session.viewpoints[camera], self.session.rooms[camera]
-        carrier = Carrier.at(self.light[frame], self.behind[frame], self.stature_m)
-        if carrier.hides(view.position, self.light[frame]):
+        light = self.shown(frame, camera)
+        carrier = Carrier.at(light, self.behind[frame], self.stature_m)
+        if carrier.hides(view.position, light):
             return False
-        return _shown_at(view, room, self.light[frame]) is not None
+        return _shown_at(view, room, light) is not None
 
-    def _spots(self, view: Viewpoint, frame: int, carrier: Carrier) -> list[Spot]:
+    def shown(self, frame: int, camera: int) -> Float[np.ndarray, "3"]:
+        """Where the light (m) is when the camera's shutter meets it: at the frame's moment where it is a global one."""
+        found = self._met(frame, camera, lambda light: light)
+        return self.light[frame] if found is None else found
+
+    def _met(
+        self, frame: int, camera: int, place_of: Callable[[np.ndarray], np.ndarray | None]
+    ) -> Float[np.ndarray, "3"] | None:
+        """The place that the light, or an image of it, has when its row is read; None where there is none."""
+        view, readout = self.session.viewpoints[camera], self.readouts.get(camera, 0.0)
+        place = place_of(self.light[frame])
+        for _ in range(ROLLING_STEPS if readout else 0):
+            if place is None:
+                return None
+            row = np.nan_to_num(view.project(place[None])[0][0, 1])
+            late = readout * (np.clip(row / view.size[1], 0.0, 1.0) - 0.5)
+            place = place_of(self.path(np.array([frame + late]))[0])
+        return place
+
+    @property
+    def readouts(self) -> dict[int, float]:
+        """Frames from the first image row to the last, of the cameras with rolling shutters."""
+        return dict(self.session.settings.wave.readouts)
+
+    def _spots(self, frame: int, camera: int, light: np.ndarray, carrier: Carrier) -> list[Spot]:
         """The light, its mirror images, and glints, whether furniture hides them or not."""
+        view = self.session.viewpoints[camera]
         spots = [Spot(glint, 0.002, 0.25 * GLINT_BGR) for glint in self.glints]
-        if not carrier.hides(view.position, self.light[frame]):
-            spots.append(Spot(self.light[frame], self.radius_m, PEAK * LED_BGR))
+        if not carrier.hides(view.position, light):
+            spots.append(Spot(light, self.radius_m, PEAK * LED_BGR))
         strength = self.session.settings.wave.reflections
         for corners, share in self.session.scene.mirrors if strength > 0 else ():
-            place = mirrored(corners, view.position, self.light[frame])
+            place = self._met(frame, camera, lambda at, corners=corners: mirrored(corners, view.position, at))
             if place is not None:
                 spots.append(Spot(place, 1.5 * self.radius_m, strength * share * PEAK * LED_BGR))
         return spots
 
 
 def simulate_wave(session: SimulatedSession) -> SimulatedWave:
-    """The wave of a session: the same session gives the same wave."""
+    """The wave of a session: the same session gives the same wave.
+
+    Raises:
+        UsageError: a rolling shutter is of a camera that is not there.
+    """
     settings = session.settings.wave
+    cameras = len(session.viewpoints)
+    for camera, _ in settings.readouts:
+        if camera >= cameras:
+            raise UsageError(
+                f"[simulate.wave] gives a readout of camera {camera}, but there are {cameras} cameras, numbered from 0."
+            )
     rng = np.random.default_rng([session.seed, 5])
     glints = [corners.mean(axis=0) for corners, _ in session.scene.mirrors][: settings.glints]
+    path = _path(rng, settings, session)
     return SimulatedWave(
         session,
-        _path(rng, settings, session),
+        path,
+        path(np.arange(settings.frames)),
         np.cumsum(rng.normal(0.0, 0.08, settings.frames)) + rng.uniform(0.0, 2 * np.pi),
         np.array(glints).reshape(-1, 3),
         float(rng.uniform(1.6, 1.9)),
@@ -148,13 +192,13 @@ def simulate_wave(session: SimulatedSession) -> SimulatedWave:
     )
 
 
-def _path(rng: Generator, settings: WaveSettings, session: SimulatedSession) -> np.ndarray:
-    """A smooth walk of the light through the room (F, 3), m."""
+def _path(rng: Generator, settings: WaveSettings, session: SimulatedSession) -> Callable[[np.ndarray], np.ndarray]:
+    """A smooth walk of the light through the room: places (m) at any moments, in frames."""
     knots = max(6, settings.frames // KNOT_FRAMES)
     low, high = session.scene.free_floor
     lowest, highest = np.append(low - 0.5, 0.25), np.append(high + 0.5, 2.2)
     path = CubicSpline(np.linspace(0.0, settings.frames - 1.0, knots), rng.uniform(lowest, highest, (knots, 3)))
-    return np.clip(path(np.arange(settings.frames)), 0.05, session.scene.size - 0.05)
+    return lambda moments: np.clip(path(moments), 0.05, session.scene.size - 0.05)
 
 
 def _dimly_lit(mesh: Mesh, light: np.ndarray, darkness: float) -> LitPeople:

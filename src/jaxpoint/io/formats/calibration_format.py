@@ -193,6 +193,8 @@ class CalibrationFormat:
             lost.append("the covariance of the cameras")
         if saved.time_offsets is not None:
             lost.append("the time offsets of the cameras")
+        if saved.readout_times is not None:
+            lost.append("the readout times of the cameras")
         if saved.rig.reach is not None:
             lost.append("how far each lens model holds (reach_px)")
         if not self.holds.sizes:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxpoint.calibration import offsets as timing
+from jaxpoint.calibration import timing
 from jaxpoint.calibration.clocks import find_clocks
 from jaxpoint.calibration.offset_search import PairOffset, joint_offsets, pair_offsets
 from jaxpoint.calibration.recording import Freedom, Recording
@@ -92,17 +92,19 @@ def test_the_sigmas_are_those_of_the_dense_normal_equations(solved, state_of):
     nothing = np.zeros((4, 15))
     freedom = Freedom(Freedom.of(recording, LensSettings(), "none").free, nothing, nothing)
     judged = timing.Classified(state, kept, kept, kept)
-    sigmas = timing._unit_sigmas(recording, clock, judged, freedom)
-    problem, start = timing._problem(recording, clock, state.rebased(), kept, freedom, 1e8)
+    times = timing.Times(LATE - LATE[0], np.zeros(4))
+    sigmas = timing._unit_sigmas(recording, clock, times, judged, freedom)
+    problem, start = timing._problem(recording, clock, times, state.rebased(), kept, freedom, 1e8)
     free = np.asarray(problem.free)
     used = np.flatnonzero(kept.any(axis=1))
     seen = kept[used]
-    observed = np.concatenate([clock.pixels, clock.velocity, clock.acceleration], axis=-1)[used]
+    moving = clock.pixels, clock.velocity, clock.acceleration, clock.down[..., None]
+    observed = np.concatenate(moving, axis=-1)[used]
 
     def residuals(cameras, points):
-        moved = timing.OffsetModel().state(start.cameras.at[free].add(cameras), problem.constants)
-        each = jax.vmap(jax.vmap(timing.OffsetModel().residual, (0, None, None, 0)), (None, None, 0, 0))
-        return each(moved, jnp.zeros(16), points, jnp.asarray(observed))[seen].reshape(-1)
+        moved = timing.TimingModel().state(start.cameras.at[free].add(cameras), problem.constants)
+        each = jax.vmap(jax.vmap(timing.TimingModel().residual, (0, None, None, 0)), (None, None, 0, 0))
+        return each(moved, jnp.zeros(17), points, jnp.asarray(observed))[seen].reshape(-1)
 
     by_cameras, by_points = jax.jit(jax.jacfwd(residuals, (0, 1)))(jnp.zeros(free.sum()), state.points[used])
     jacobian = np.concatenate([by_cameras, np.reshape(by_points, (len(by_points), -1))], axis=1)
@@ -110,8 +112,9 @@ def test_the_sigmas_are_those_of_the_dense_normal_equations(solved, state_of):
     covariance = np.linalg.pinv((jacobian / scale).T @ (jacobian / scale), rcond=1e-11, hermitian=True)
     expected = np.zeros(free.size)
     expected[free.reshape(-1)] = (np.sqrt(np.diag(covariance)) / scale)[: free.sum()]
-    np.testing.assert_allclose(sigmas, expected.reshape(4, 16)[:, 15], rtol=1e-4)
-    assert (sigmas[1:] > 0).all()
+    np.testing.assert_allclose(sigmas, expected.reshape(4, 17)[:, 15:], rtol=1e-4)
+    assert sigmas[0, 0] == 0.0
+    assert (sigmas.ravel()[1:] > 0).all()
 
 
 def test_check_suggests_the_option_where_cameras_are_out_of_step():
@@ -159,6 +162,6 @@ def test_tracks_that_cannot_be_moved_say_so():
     visible = room.tracks.visible.copy()
     visible[np.arange(500) % 5 > 0, 3] = False
     tracks = Tracks.from_pixels(room.tracks.pixels, room.tracks.image_sizes, visible)
-    late = np.array([0.0, 0.0, 0.0, 0.5])
+    late = timing.Times(np.array([0.0, 0.0, 0.0, 0.5]))
     with pytest.raises(InsufficientDataError, match=r"can be brought to one clock, the others have too few neighbours"):
         _on_one_clock(tracks, late, known_intrinsics=False)
