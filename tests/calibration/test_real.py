@@ -12,7 +12,8 @@ from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
 from jaxpoint.config import CalibrateSettings, LensSettings
 from jaxpoint.io.formats.caliscope_toml import read_camera_array
-from jaxpoint.io.track_files import read_caliscope_corners, read_tracks
+from jaxpoint.io.track_files import read_tracks
+from jaxpoint.io.track_formats.caliscope_corners import read_caliscope_corners
 from jaxpoint.tracks import Tracks
 
 

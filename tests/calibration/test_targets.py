@@ -279,7 +279,7 @@ def test_what_cannot_be_is_said(room, solved):
     few = join_tracks(room.tracks, shown_target(room, BOARD, 2, 2))
     with pytest.raises(InsufficientDataError, match="Target 'chessboard' has 2 frames"):
         calibrate(few)
-    with pytest.raises(UsageError, match="targets or known points"):
+    with pytest.raises(UsageError, match="targets, known points or shared lenses"):
         chain_of(solved, solved.tracks.pixels[:2], solved.tracks.visible[:2])
     prior = PointPrior(np.zeros((room.tracks.frames, 3)), np.full(room.tracks.frames, np.inf))
     with pytest.raises(InsufficientDataError, match="0 known points"):

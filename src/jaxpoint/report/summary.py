@@ -91,7 +91,7 @@ class Summary:
     shared: Int[np.ndarray, "C C"]
     focal: Float[np.ndarray, "C 2"]
     center: Float[np.ndarray, "C 2"]
-    distortion: tuple[Float[np.ndarray, " k"], ...]  # the coefficients of each lens
+    distortion: tuple[Float[np.ndarray, "_"], ...]  # the coefficients of each lens
     lens_models: tuple[str, ...]  # names
     view_deg: Float[np.ndarray, " C"]  # between what the middles of the left and right edges see
     scene: RigScene
