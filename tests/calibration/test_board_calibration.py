@@ -356,3 +356,13 @@ def test_a_light_beside_a_board_takes_part(both, pair):
     assert found.kept[loose].mean() > 0.95
     order = np.argsort(found.tracks.frame_ids[loose])
     np.testing.assert_allclose(found.points[loose][order], points[inside], atol=0.01)
+
+
+def test_one_lens_for_a_pair_is_tested_by_its_boards(pair, both):
+    settings = CalibrateSettings(lens=LensSettings(shared=("all",)))
+    found = with_board_covariance(calibrate_boards(pair, settings))
+    parameters_of_both = np.asarray(found.rig.cameras.lens.parameters)
+    np.testing.assert_allclose(parameters_of_both[1], parameters_of_both[0], rtol=1e-12)
+    named = [item for item in assess_boards(found, settings).findings if item.cause == "shared lens"]
+    assert len(named) == 1  # two cameras of one kind, whose lenses differ by what its boards can tell
+    assert found.errors[found.kept].mean() > both.errors[both.kept].mean()

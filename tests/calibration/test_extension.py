@@ -13,6 +13,9 @@ from jaxpoint.calibration.covariance import with_covariance
 from jaxpoint.calibration.extension import extend_calibration
 from jaxpoint.calibration.quality import assess
 from jaxpoint.calibration.selfcal import calibrate
+from jaxpoint.camera.brown import Brown
+from jaxpoint.camera.kannala_brandt import KannalaBrandt
+from jaxpoint.camera.mixed import embedded, mixed_lens
 from jaxpoint.camera.rig import CameraRig
 from jaxpoint.cli import main
 from jaxpoint.config import CalibrateSettings, OutlierSettings, RoomConfig
@@ -171,3 +174,13 @@ def test_the_command_line(room, known, tmp_path, capsys, monkeypatch):
         assert main([*arguments, "--out", str(tmp_path / "never")]) == code
         assert said in capsys.readouterr().err
     assert not (tmp_path / "never").exists()
+
+
+def test_a_new_camera_among_lenses_of_several_models_is_refused(room, known):
+    models = (*[Brown] * 3, KannalaBrandt)
+    kind, own = mixed_lens(models), np.asarray(known.rig.cameras.distortion)
+    mixed = np.stack([embedded(kind, m, values[: len(m.coefficients)]) for m, values in zip(models, own)])
+    lens = kind.of(known.rig.cameras.focal, known.rig.cameras.center, mixed)
+    rig = replace(known.rig, cameras=replace(known.rig.cameras, lens=lens))
+    with pytest.raises(UsageError, match=r"several models \(brown, kannala_brandt\), .* --lens.distortion cam_3=MODEL"):
+        extend_calibration(room.tracks, replace(known, rig=rig))

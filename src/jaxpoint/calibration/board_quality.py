@@ -7,9 +7,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from jaxpoint.calibration.board_figures import ViewFit, different_views, view_fits, where_next
+from jaxpoint.calibration.normal import normal_equations
 from jaxpoint.calibration.pair_poses import pair_scatter
 from jaxpoint.calibration.quality import GateCheck, Quality, plain_checks
 from jaxpoint.calibration.result import Calibration, Finding, Level
+from jaxpoint.calibration.shared_checks import shared_lens_findings
 from jaxpoint.camera.camera import POSE_NAMES
 from jaxpoint.config import CalibrateSettings
 
@@ -24,10 +26,16 @@ def assess_boards(calibration: Calibration, settings: CalibrateSettings | None =
     """Hold a calibration of `calibrate_boards` against its settings; needs its covariance."""
     settings = settings or CalibrateSettings()
     views = view_fits(calibration)
-    found = [*calibration.findings, *_poor(calibration, views), *_lenses(calibration, settings, views),
-             *_coverage(calibration, views), *_pairs(calibration)]  # fmt: skip
+    found = [*_shared(calibration), *calibration.findings, *_poor(calibration, views),
+             *_lenses(calibration, settings, views), *_coverage(calibration, views), *_pairs(calibration)]  # fmt: skip
     order = {"bad": 0, "care": 1, "good": 2}
     return Quality(tuple(_checks(calibration, settings)), tuple(sorted(found, key=lambda item: order[item.level])))
+
+
+def _shared(calibration: Calibration) -> Iterator[Finding]:
+    """Lenses that were said to be one, and are not."""
+    if calibration.freedom is not None and calibration.freedom.owner is not None:
+        yield from shared_lens_findings(calibration, normal_equations(calibration))
 
 
 def _checks(calibration: Calibration, settings: CalibrateSettings) -> Iterator[GateCheck]:

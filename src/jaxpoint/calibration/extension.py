@@ -119,6 +119,13 @@ def _parts(tracks: Tracks, known: Calibration, moved: Sequence[str]) -> _Parts:
         )
     if inside.all() and not again.any():
         raise UsageError("The room has all cameras of these tracks already; name the moved ones by --recalibrate.")
+    if not inside.all() and len(set(rig.lens_models)) > 1:
+        models = ", ".join(sorted({model.name for model in rig.lens_models}))
+        new = tracks.names[int(np.flatnonzero(~inside)[0])]
+        raise UsageError(
+            f"The room has lenses of several models ({models}), and nothing says which of them {new} has; calibrate "
+            f"the room anew, and name it: --lens.distortion {new}=MODEL."
+        )
     first = int(np.flatnonzero(inside)[0])
     order = [rig.names.index(name if ours else tracks.names[first]) for name, ours in zip(tracks.names, inside)]
     cameras = jax.tree.map(lambda leaf: leaf[np.array(order)], rig.cameras)

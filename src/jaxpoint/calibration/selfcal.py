@@ -214,6 +214,7 @@ def _rough_times(tracks: Tracks, settings: CalibrateSettings, intrinsics, progre
 
 
 def _rough_offsets(tracks: Tracks, settings: CalibrateSettings, intrinsics, progress: Progress) -> np.ndarray:
+    """Time offsets from pairs of cameras, frames (C,); the first is 0."""
     pairs = pair_offsets(
         tracks,
         settings.epipolar,

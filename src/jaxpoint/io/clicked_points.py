@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from jaxpoint.errors import FileFormatError, UsageError
 from jaxpoint.io.files import StrPath, read_text
+from jaxpoint.io.table import is_number
 from jaxpoint.io.track_formats.long_csv import is_table
 from jaxpoint.io.track_formats.track_format import TrackFormat
 from jaxpoint.targets import Target
@@ -33,7 +34,7 @@ def is_clicked(path: Path, head: str) -> bool:
     if not is_table(path, head):
         return False
     cells = [cell.strip().strip('"') for cell in re.split(r"[,;\t]", first)]
-    return bool(COLUMN.fullmatch(cells[0])) or (len(cells) > 1 and all(map(_is_number, cells)))
+    return bool(COLUMN.fullmatch(cells[0])) or (len(cells) > 1 and all(map(is_number, cells)))
 
 
 def read_clicked_points(path: StrPath, image_size: Size | None, ends: int = 2) -> Tracks:
@@ -102,7 +103,7 @@ def _values(path: Path, lines: list[str], columns: int, start: int) -> Float[np.
         cells = [cell.strip() for cell in re.split(r"[,;\t]", line)]
         if len(cells) != columns:
             raise FileFormatError(f"{path}, line {number}: {len(cells)} values where the first line has {columns}.")
-        wrong = next((cell for cell in cells if cell and not _is_number(cell)), None)
+        wrong = next((cell for cell in cells if cell and not is_number(cell)), None)
         if wrong is not None:
             raise FileFormatError(f"{path}, line {number}: '{wrong}' is no number.")
         rows.append([float(cell or "nan") for cell in cells])
@@ -139,14 +140,6 @@ def _tracks(clicked: Float[np.ndarray, "R P C 2"], size: Size) -> Tracks:
         point_ids=np.tile(np.arange(points), rows),
         target_ids=np.full(rows * points, -1),
     )
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 FORMAT = TrackFormat(

@@ -51,6 +51,15 @@ def write_table(path: Path, columns: Mapping[str, Sequence | np.ndarray]) -> Non
         text.detach()
 
 
+def is_number(cell: str) -> bool:
+    """Whether a cell of a table holds a number."""
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
 def _cell(value: object) -> object:
     if isinstance(value, float | np.floating):
         return "" if np.isnan(value) else f"{value:.{DIGITS}g}"

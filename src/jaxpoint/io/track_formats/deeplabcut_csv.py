@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from jaxpoint.errors import FileFormatError
 from jaxpoint.io.files import read_text
+from jaxpoint.io.table import is_number
 from jaxpoint.io.track_formats.keypoint_cameras import (
     CameraKeypoints,
     frame_of_image,
@@ -95,16 +96,8 @@ def _numbers(path: Path, number: int, cells: Sequence[str], wanted: int) -> list
     try:
         return [float(cell or "nan") for cell in cells]
     except ValueError:
-        wrong = next(cell for cell in cells if cell and not _is_number(cell))
+        wrong = next(cell for cell in cells if cell and not is_number(cell))
         raise FileFormatError(f"{path}, line {number}: '{wrong}' is not a number.") from None
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
 
 
 FORMAT = keypoint_format("deeplabcut", "DeepLabCut's CSV", is_deeplabcut_csv, read_deeplabcut_csv)
